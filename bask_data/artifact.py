@@ -1,0 +1,350 @@
+"""Artifacts: typed, immutable directories that appear whole or not at all.
+
+An artifact is a Zarr v3 group with a manifest, `artifact.json`, that names what made it and holds the SHA-256 of every other file. The manifest is
+deterministic: no time, host or user in it, so equal inputs give equal bytes on any machine.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import hashlib
+import json
+import os
+import shutil
+import socket
+import uuid
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from bask_data.errors import BadData
+
+if TYPE_CHECKING:
+    import numpy as np
+    import zarr
+
+MANIFEST = "artifact.json"
+SCRATCH = ".scratch"
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+
+Scope = Literal["scene", "demonstration", "recording", "dataset"]
+"""What an artifact belongs to. A `recording` is a scene or a demonstration."""
+
+
+class Metadata(BaseModel):
+    """Base of what a kind states in the attribute `bask` of its group, besides `kind` and `schema`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+@dataclass(frozen=True)
+class ArraySpec:
+    """What a schema says of one array.
+
+    Args:
+        dims: names of the axes; the same name means the same length, within a camera for t, h, w and within the artifact for others.
+        optional: the array may be absent.
+    """
+
+    dims: tuple[str, ...]
+    dtype: str
+    description: str
+    units: str = ""
+    attributes: tuple[str, ...] = ()
+    optional: bool = False
+
+
+@dataclass(frozen=True)
+class TableSpec:
+    """What a schema says of one Parquet file: columns in order, each with an Arrow type and a description."""
+
+    columns: dict[str, tuple[str, str]] = field(default_factory=dict)
+
+
+class FileEntry(BaseModel):
+    """One file of an artifact, as its manifest records it."""
+
+    sha256: str
+    bytes: int
+
+
+class Manifest(BaseModel):
+    """The content of `artifact.json`.
+
+    Args:
+        key: SHA-256 over everything the result depends on; same key on disk means up to date.
+        inputs: content digest by path relative to the dataset, or by a name for what is no artifact.
+        digest: SHA-256 over `files`, the content digest that later stages see.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    kind: str
+    schema_version: int
+    stage: str
+    stage_version: int
+    params: dict[str, Any]
+    inputs: dict[str, str]
+    key: str
+    files: dict[str, FileEntry]
+    digest: str
+
+
+class Artifact:
+    """A handle on one published artifact. Subclasses, one per kind, declare what it holds and read it."""
+
+    kind: ClassVar[str]
+    scope: ClassVar[Scope]
+    has_variants: ClassVar[bool] = False
+    schema_version: ClassVar[int] = 1
+    metadata_model: ClassVar[type[Metadata]] = Metadata
+    arrays: ClassVar[dict[str, ArraySpec]] = {}
+    tables: ClassVar[dict[str, TableSpec]] = {}
+    files: ClassVar[dict[str, str]] = {}
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self.path)!r})"
+
+    @cached_property
+    def manifest(self) -> Manifest:
+        """The manifest; `BadData` if it is missing or broken."""
+        return read_manifest(self.path)
+
+    @cached_property
+    def group(self) -> zarr.Group:
+        """The Zarr group, read-only."""
+        import zarr
+
+        try:
+            return zarr.open_group(str(self.path), mode="r", zarr_format=3)
+        except Exception as error:
+            raise BadData(self.path, "zarr.json", expected="a Zarr v3 group", got=str(error)) from error
+
+    @cached_property
+    def attributes(self) -> dict[str, Any]:
+        """The `bask` attribute of the group as a plain dictionary."""
+        return read_attributes(self.path).get("bask", {})
+
+    @cached_property
+    def metadata(self) -> Any:
+        """The kind's metadata, checked against its model."""
+        fields = {name: value for name, value in self.attributes.items() if name not in ("kind", "schema")}
+        try:
+            return self.metadata_model.model_validate(fields)
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise BadData(
+                self.path / "zarr.json", "bask." + ".".join(map(str, first["loc"])), expected=first["msg"]
+            ) from error
+
+    def read(self, name: str) -> np.ndarray:
+        """A whole array of the artifact."""
+        try:
+            return self.group[name][...]  # type: ignore[index,return-value]
+        except KeyError:
+            raise BadData(self.path, name, expected="an array", got="nothing") from None
+        except Exception as error:
+            raise BadData(
+                self.path, name, expected="readable chunks", got=str(error), fix="run `bask-data validate`."
+            ) from error
+
+
+def canonical_json(value: object) -> bytes:
+    """JSON with sorted keys and no spaces: the same value gives the same bytes. NaN and infinity are refused."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
+
+
+def digest_of(value: object) -> str:
+    """SHA-256 of a JSON value, in hexadecimal."""
+    return hashlib.sha256(canonical_json(value)).hexdigest()
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def read_attributes(group: Path) -> dict[str, Any]:
+    """The attributes of a Zarr v3 group without the cost of importing zarr; `BadData` if it is none."""
+    file = group / "zarr.json"
+    document = read_json(file)
+    if not isinstance(document, dict) or document.get("node_type") != "group" or document.get("zarr_format") != 3:
+        raise BadData(file, "node_type", expected="a Zarr v3 group", got=str(document)[:60])
+    attributes = document.get("attributes", {})
+    return attributes if isinstance(attributes, dict) else {}
+
+
+def write_group(path: Path, attributes: dict[str, Any]) -> None:
+    """Make a directory a Zarr v3 group with these attributes."""
+    path.mkdir(parents=True, exist_ok=True)
+    document = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
+    (path / "zarr.json").write_text(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def read_json(file: Path) -> Any:
+    """A JSON document; `BadData` with the path if it is missing, too large or broken."""
+    try:
+        if file.stat().st_size > 64 * 2**20:
+            raise BadData(file, "", expected="a JSON document below 64 MiB", got=f"{file.stat().st_size} bytes")
+        return json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BadData(file, "", expected="a file", got="nothing") from None
+    except (ValueError, RecursionError, OSError) as error:
+        raise BadData(file, "", expected="a JSON document", got=str(error)) from error
+
+
+def write_json_atomically(file: Path, value: object) -> None:
+    """Replace a JSON file in one step: readers see the old one or the new one."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    temporary = file.with_name(f".{file.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
+    temporary.write_text(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    _sync(temporary)
+    os.replace(temporary, file)
+    _sync(file.parent)
+
+
+def read_manifest(path: Path) -> Manifest:
+    """The manifest of the artifact at `path`."""
+    file = path / MANIFEST
+    try:
+        return Manifest.model_validate(read_json(file))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise BadData(file, ".".join(map(str, first["loc"])), expected=first["msg"]) from error
+
+
+def list_files(path: Path) -> Iterator[tuple[str, Path]]:
+    """Every file below `path` but the manifest, as (name with forward slashes, path), in sorted order."""
+    found = []
+    for folder, _, names in os.walk(path, followlinks=False):
+        for name in names:
+            file = Path(folder) / name
+            relative = file.relative_to(path).as_posix()
+            if relative != MANIFEST:
+                found.append((relative, file))
+    yield from sorted(found)
+
+
+def seal(
+    scratch: Path,
+    *,
+    artifact: type[Artifact],
+    stage: str,
+    stage_version: int,
+    params: dict[str, Any],
+    inputs: dict[str, str],
+    key: str,
+) -> Manifest:
+    """Write the manifest of a finished scratch directory and force everything to disk."""
+    files = {
+        name: FileEntry(sha256=file_digest(file), bytes=file.stat().st_size) for name, file in list_files(scratch)
+    }
+    manifest = Manifest(
+        kind=artifact.kind,
+        schema_version=artifact.schema_version,
+        stage=stage,
+        stage_version=stage_version,
+        params=params,
+        inputs=inputs,
+        key=key,
+        files=files,
+        digest=content_digest(files),
+    )
+    (scratch / MANIFEST).write_text(manifest.model_dump_json(indent=2) + "\n")
+    for name in [*files, MANIFEST]:
+        _sync(scratch / name)
+    for folder, _, _ in os.walk(scratch):
+        _sync(Path(folder))
+    return manifest
+
+
+def content_digest(files: dict[str, FileEntry]) -> str:
+    """The digest of an artifact's content: its file names and their SHA-256."""
+    return digest_of({name: entry.sha256 for name, entry in files.items()})
+
+
+def publish(scratch: Path, target: Path) -> None:
+    """Move a sealed scratch directory to its place in one step, whatever stood there before."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if not target.exists():
+        try:
+            os.rename(scratch, target)
+        except OSError as error:
+            # Another process published the same artifact in between; exchange with it below.
+            if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
+                raise
+        else:
+            _sync(target.parent)
+            return
+    _exchange(scratch, target)
+    _sync(target.parent)
+    shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _exchange(scratch: Path, target: Path) -> None:
+    """Swap two directories. Where the file system cannot, the old one is parked, and `recover` brings it back after a kill in between."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if hasattr(libc, "renameat2"):
+        done = libc.renameat2(
+            _AT_FDCWD, os.fsencode(scratch), _AT_FDCWD, os.fsencode(target), ctypes.c_uint(_RENAME_EXCHANGE)
+        )
+        if done == 0:
+            return
+    parked = scratch.with_name(scratch.name + ".parked")
+    parked.mkdir()
+    (parked / "target").write_text(str(target))
+    os.rename(target, parked / "artifact")
+    os.rename(scratch, target)
+    shutil.rmtree(parked, ignore_errors=True)
+
+
+def new_scratch(root: Path, name: str) -> Path:
+    """An empty scratch directory in the dataset, on the same file system as the artifact it will become."""
+    scratch = root / SCRATCH / f"{name}~{socket.gethostname()}~{os.getpid()}~{uuid.uuid4().hex[:8]}"
+    scratch.mkdir(parents=True)
+    return scratch
+
+
+def recover(root: Path) -> None:
+    """Bring back parked artifacts and remove the scratch of processes of this host that are gone."""
+    for parked in (root / SCRATCH).glob("*.parked"):
+        if _is_abandoned(parked.name):
+            target = Path((parked / "target").read_text()) if (parked / "target").exists() else None
+            inside = target is not None and target.resolve().is_relative_to(root.resolve())
+            if target is not None and inside and not target.exists() and (parked / "artifact").exists():
+                os.rename(parked / "artifact", target)
+            shutil.rmtree(parked, ignore_errors=True)
+    for scratch in (root / SCRATCH).glob("*~*~*~*"):
+        if _is_abandoned(scratch.name):
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _is_abandoned(name: str) -> bool:
+    """Whether the process that made this scratch directory is gone. One of another host may be alive: leave it alone."""
+    parts = name.split("~")
+    if len(parts) != 4 or parts[1] != socket.gethostname() or not parts[2].isdigit():
+        return False
+    try:
+        os.kill(int(parts[2]), 0)
+    except ProcessLookupError:
+        return True
+    except PermissionError:
+        return False
+    return False
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

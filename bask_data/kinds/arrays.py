@@ -1,0 +1,135 @@
+"""Zarr arrays as the kinds use them: one frame a chunk, whole shards written at once, a checksum on every chunk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bask_data.artifact import Artifact, ArraySpec, write_group
+from bask_data.errors import BadData
+
+if TYPE_CHECKING:
+    import numpy as np
+    import zarr
+
+SHARD_FRAMES = 64
+_SHARD_BYTES = 96 * 2**20
+_ROWS_PER_CHUNK = 2**18
+
+
+def start(out: Path, artifact: type[Artifact], metadata: dict[str, Any] | None = None) -> zarr.Group:
+    """Make `out` the root group of an artifact and return it for writing.
+
+    The metadata is checked against the kind's model here, so that a stage cannot publish what no reader accepts.
+    """
+    import zarr
+
+    checked = artifact.metadata_model.model_validate(metadata or {}).model_dump(mode="json")
+    write_group(out, {"bask": {"kind": artifact.kind, "schema": artifact.schema_version, **checked}})
+    return zarr.open_group(str(out), mode="r+", zarr_format=3)
+
+
+def write_array(group: zarr.Group, artifact: type[Artifact], name: str, data: np.ndarray, **attributes: object) -> None:
+    """Write a whole array that is not a stream of frames."""
+    import numpy as np
+    import zarr.codecs
+
+    spec = spec_of(artifact, name)
+    array = group.create_array(
+        name,
+        shape=data.shape,
+        dtype=spec.dtype,
+        chunks=tuple(max(1, min(n, _ROWS_PER_CHUNK)) if i == 0 else max(1, n) for i, n in enumerate(data.shape)),
+        compressors=[zarr.codecs.ZstdCodec(level=5, checksum=True)],
+        fill_value=0,
+        attributes=_attributes(spec, attributes),
+        dimension_names=spec.dims,
+    )
+    if data.size:
+        array[...] = np.ascontiguousarray(data, dtype=spec.dtype)
+
+
+class FrameWriter:
+    """Appends frames to one array, a shard at a time, so that memory does not grow with the number of frames.
+
+    zarr truncates an assignment of the wrong length without a word; `close` therefore counts.
+    """
+
+    def __init__(
+        self,
+        group: zarr.Group,
+        artifact: type[Artifact],
+        name: str,
+        n_frames: int,
+        frame_shape: tuple[int, ...],
+        **attributes: object,
+    ) -> None:
+        import numpy as np
+        import zarr.codecs
+
+        spec = spec_of(artifact, name)
+        frame_bytes = int(np.prod(frame_shape, dtype=np.int64)) * np.dtype(spec.dtype).itemsize
+        n_shard = max(1, min(SHARD_FRAMES, n_frames, _SHARD_BYTES // max(frame_bytes, 1)))
+        self._array = group.create_array(
+            name,
+            shape=(n_frames, *frame_shape),
+            dtype=spec.dtype,
+            chunks=(1, *frame_shape),
+            shards=(n_shard, *frame_shape),
+            compressors=[zarr.codecs.ZstdCodec(level=3, checksum=True)],
+            fill_value=0,
+            attributes=_attributes(spec, attributes),
+            dimension_names=spec.dims,
+        )
+        self._buffer = np.empty((n_shard, *frame_shape), dtype=spec.dtype)
+        self._name, self._n_frames, self._n_written, self._n_buffered = name, n_frames, 0, 0
+
+    def append(self, frame: np.ndarray) -> None:
+        """Add the next frame."""
+        if frame.shape != self._buffer.shape[1:] or frame.dtype != self._buffer.dtype:
+            raise ValueError(
+                f"{self._name}: expected a frame {self._buffer.shape[1:]} {self._buffer.dtype}, got {frame.shape} {frame.dtype}"
+            )
+        if self._n_written + self._n_buffered >= self._n_frames:
+            raise ValueError(f"{self._name}: more than the {self._n_frames} frames that were announced")
+        self._buffer[self._n_buffered] = frame
+        self._n_buffered += 1
+        if self._n_buffered == len(self._buffer):
+            self._flush()
+
+    def close(self) -> None:
+        """Write what is buffered. Every announced frame must have come."""
+        self._flush()
+        if self._n_written != self._n_frames:
+            raise ValueError(f"{self._name}: {self._n_written} frames written, {self._n_frames} announced")
+
+    def _flush(self) -> None:
+        if self._n_buffered:
+            end = self._n_written + self._n_buffered
+            self._array[self._n_written : end] = self._buffer[: self._n_buffered]
+            self._n_written, self._n_buffered = end, 0
+
+
+def read_frame(array: zarr.Array, i_frame: int, where: Path) -> np.ndarray:
+    """One frame of a stream; `BadData` when its chunk does not decode."""
+    if not 0 <= i_frame < array.shape[0]:
+        raise IndexError(f"{where}: frame {i_frame} of {array.shape[0]}")
+    try:
+        return array[i_frame]  # type: ignore[return-value]
+    except Exception as error:
+        raise BadData(
+            where, f"frame {i_frame}", expected="a readable chunk", got=str(error), fix="run `bask-data validate`."
+        ) from error
+
+
+def spec_of(artifact: type[Artifact], name: str) -> ArraySpec:
+    """The schema's entry for an array, where the name of a camera stands for `{camera}`."""
+    if name in artifact.arrays:
+        return artifact.arrays[name]
+    return artifact.arrays["{camera}/" + name.split("/", 1)[-1]]
+
+
+def _attributes(spec: ArraySpec, attributes: dict[str, object]) -> dict[str, Any]:
+    missing = set(spec.attributes) - set(attributes)
+    assert not missing, f"attributes {missing} are promised by the schema"
+    return {"description": spec.description, **({"units": spec.units} if spec.units else {}), **attributes}

@@ -1,0 +1,167 @@
+"""Streams of posed RGB-D frames, as scans and demonstrations hold them, one group a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bask_data.artifact import Artifact, ArraySpec, Metadata, write_group
+from bask_data.kinds.arrays import FrameWriter, read_frame, start, write_array
+
+if TYPE_CHECKING:
+    import numpy as np
+    import zarr
+
+CAMERA_ARRAYS = {
+    "{camera}/rgb": ArraySpec(("t", "h", "w", "c"), "uint8", "Colour, channels red, green, blue."),
+    "{camera}/depth": ArraySpec(
+        ("t", "h", "w"), "uint16", "z-depth in units of `scale_m` metres; 0 means no measurement.", attributes=("scale_m",)
+    ),
+    "{camera}/intrinsics": ArraySpec(
+        ("3", "3"), "float64", "Pinhole matrix. Pixel (0, 0) is the centre of the top-left pixel.", "pixel"
+    ),
+    "{camera}/world_from_camera": ArraySpec(
+        ("t", "4", "4"), "float64", "Takes camera coordinates to world coordinates; camera x right, y down, z forward.", "metre"
+    ),
+    "{camera}/time": ArraySpec(("t",), "float64", "Time of each frame.", "second"),
+}
+
+
+class RecordingMetadata(Metadata):
+    """Where a recording came from, and what was assumed in reading it."""
+
+    format: str
+    assumptions: dict[str, str] = {}
+
+
+class Camera:
+    """One camera's frames, read one at a time."""
+
+    def __init__(self, group: zarr.Group, path: Path) -> None:
+        self._group = group
+        self.path = path
+        self.name = path.name
+
+    @property
+    def n_frames(self) -> int:
+        return self._rgb.shape[0]
+
+    @property
+    def height(self) -> int:
+        return self._rgb.shape[1]
+
+    @property
+    def width(self) -> int:
+        return self._rgb.shape[2]
+
+    @cached_property
+    def K(self) -> np.ndarray:
+        """Pinhole matrix (3, 3) float64, pixels."""
+        return self._group["intrinsics"][...]  # type: ignore[index,return-value]
+
+    @cached_property
+    def world_from_cameras(self) -> np.ndarray:
+        """(t, 4, 4) float64, metres."""
+        return self._group["world_from_camera"][...]  # type: ignore[index,return-value]
+
+    @cached_property
+    def time(self) -> np.ndarray:
+        """(t,) float64, seconds."""
+        return self._group["time"][...]  # type: ignore[index,return-value]
+
+    @cached_property
+    def depth_scale(self) -> float:
+        """Metres per unit of stored depth."""
+        return float(self._depth.attrs["scale_m"])  # type: ignore[arg-type]
+
+    def rgb(self, i_frame: int) -> np.ndarray:
+        """Colour of one frame (h, w, 3) uint8."""
+        return read_frame(self._rgb, i_frame, self.path / "rgb")
+
+    def depth_raw(self, i_frame: int) -> np.ndarray:
+        """Depth of one frame as stored (h, w) uint16, units of `depth_scale`."""
+        return read_frame(self._depth, i_frame, self.path / "depth")
+
+    def depth(self, i_frame: int) -> np.ndarray:
+        """z-depth of one frame (h, w) float32 metres; 0 means no measurement."""
+        import numpy as np
+
+        return self.depth_raw(i_frame).astype(np.float32) * np.float32(self.depth_scale)
+
+    @cached_property
+    def _rgb(self) -> zarr.Array:
+        return self._group["rgb"]  # type: ignore[return-value]
+
+    @cached_property
+    def _depth(self) -> zarr.Array:
+        return self._group["depth"]  # type: ignore[return-value]
+
+
+class Recording(Artifact):
+    """What scans and demonstrations share: named cameras with posed RGB-D frames."""
+
+    metadata_model = RecordingMetadata
+    arrays = CAMERA_ARRAYS
+
+    @property
+    def camera_names(self) -> list[str]:
+        """Names of the cameras, sorted."""
+        return sorted(name for name, _ in self.group.groups() if name != "robot")
+
+    def camera(self, name: str) -> Camera:
+        """One camera's stream."""
+        return Camera(self.group[name], self.path / name)  # type: ignore[arg-type]
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """All cameras, sorted by name."""
+        return [self.camera(name) for name in self.camera_names]
+
+    @classmethod
+    def write_camera(
+        cls,
+        group: zarr.Group,
+        name: str,
+        *,
+        K: np.ndarray,
+        world_from_cameras: np.ndarray,
+        time: np.ndarray,
+        depth_scale: float,
+        size: tuple[int, int],
+        read: Callable[[int], tuple[np.ndarray, np.ndarray]],
+        frames: Callable[[range], object] = iter,
+    ) -> None:
+        """Stream one camera's frames into the artifact.
+
+        Args:
+            size: (height, width).
+            read: gives (rgb (h, w, 3) uint8, depth (h, w) uint16 in units of `depth_scale` metres) of a frame.
+            frames: wraps the range of frames, to show progress.
+        """
+        n_frames = len(world_from_cameras)
+        write_group(Path(str(group.store_path.store.root)) / group.path / name, {"bask": {"role": "camera"}})  # type: ignore[attr-defined]
+        write_array(group, cls, f"{name}/intrinsics", K)
+        write_array(group, cls, f"{name}/world_from_camera", world_from_cameras)
+        write_array(group, cls, f"{name}/time", time)
+        rgb = FrameWriter(group, cls, f"{name}/rgb", n_frames, (*size, 3))
+        depth = FrameWriter(group, cls, f"{name}/depth", n_frames, size, scale_m=depth_scale)
+        for i_frame in frames(range(n_frames)):  # type: ignore[attr-defined]
+            color, raw = read(i_frame)
+            rgb.append(color)
+            depth.append(raw)
+        rgb.close()
+        depth.close()
+
+
+class Scan(Recording):
+    """RGB-D frames of a static scene from a moving camera."""
+
+    kind = "scan"
+    scope = "scene"
+
+    @staticmethod
+    def start(out: Path, format: str, assumptions: dict[str, str]) -> zarr.Group:
+        """Begin writing; cameras follow with `write_camera`."""
+        return start(out, Scan, {"format": format, "assumptions": assumptions})

@@ -1,0 +1,81 @@
+"""Demonstrations: RGB-D frames in order, and what the robot did."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bask_data.artifact import ArraySpec, write_group
+from bask_data.kinds.arrays import start, write_array
+from bask_data.kinds.cameras import CAMERA_ARRAYS, Recording, RecordingMetadata
+
+if TYPE_CHECKING:
+    import numpy as np
+    import zarr
+
+
+class DemonstrationMetadata(RecordingMetadata):
+    """As of a scan, and the names of the action's columns."""
+
+    action_names: list[str] = []
+
+
+class Robot:
+    """The robot's side of a demonstration; what was not recorded is None."""
+
+    def __init__(
+        self,
+        world_from_gripper: np.ndarray | None = None,
+        gripper_width: np.ndarray | None = None,
+        action: np.ndarray | None = None,
+        action_names: tuple[str, ...] = (),
+    ) -> None:
+        self.world_from_gripper = world_from_gripper
+        self.gripper_width = gripper_width
+        self.action = action
+        self.action_names = action_names
+
+
+class Demonstration(Recording):
+    """RGB-D frames of a robot at work."""
+
+    kind = "demonstration"
+    scope = "demonstration"
+    metadata_model = DemonstrationMetadata
+    arrays = {
+        **CAMERA_ARRAYS,
+        "robot/world_from_gripper": ArraySpec(
+            ("t", "4", "4"), "float64", "Takes gripper coordinates to world coordinates.", "metre", optional=True
+        ),
+        "robot/gripper_width": ArraySpec(("t",), "float64", "Opening of the gripper.", "metre", optional=True),
+        "robot/action": ArraySpec(
+            ("t", "a"), "float64", "What was commanded; columns as `action_names` says.", optional=True
+        ),
+    }
+
+    @property
+    def robot(self) -> Robot | None:
+        """What the robot did, or None if only cameras were recorded."""
+        if "robot" not in self.group:
+            return None
+        group = self.group["robot"]
+        found = {name: array[...] for name, array in group.arrays()}  # type: ignore[union-attr]
+        return Robot(**found, action_names=tuple(self.metadata.action_names))  # type: ignore[arg-type]
+
+    @staticmethod
+    def start(
+        out: Path, format: str, assumptions: dict[str, str], action_names: tuple[str, ...] = ()
+    ) -> zarr.Group:
+        """Begin writing; cameras follow with `write_camera`, the robot with `write_robot`."""
+        return start(
+            out, Demonstration, {"format": format, "assumptions": assumptions, "action_names": list(action_names)}
+        )
+
+    @staticmethod
+    def write_robot(out: Path, group: zarr.Group, robot: Robot) -> None:
+        """Add what the robot did."""
+        write_group(out / "robot", {"bask": {"role": "robot"}})
+        for name in ("world_from_gripper", "gripper_width", "action"):
+            values = getattr(robot, name)
+            if values is not None:
+                write_array(group, Demonstration, f"robot/{name}", values)

@@ -1,0 +1,83 @@
+"""Object instances: which vertex of a reconstruction belongs to which object."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bask_data.artifact import Artifact, ArraySpec, Metadata
+from bask_data.kinds.arrays import start, write_array
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+class InstanceRow(Metadata):
+    """One object.
+
+    Args:
+        area_m2: surface in square metres.
+        centroid: mean vertex, metres, world frame.
+        extents: size of the axis-aligned box in the world frame, metres.
+    """
+
+    id: int
+    name: str = ""
+    n_vertices: int
+    area_m2: float
+    centroid: tuple[float, float, float]
+    extents: tuple[float, float, float]
+
+
+class ObjectsMetadata(Metadata):
+    """The objects, largest first, and what the stage wants a person to know (`warnings`)."""
+
+    instances: list[InstanceRow]
+    warnings: list[str] = []
+
+
+class ObjectInstances(Artifact):
+    """The objects of a scene."""
+
+    kind = "objects"
+    scope = "scene"
+    metadata_model = ObjectsMetadata
+    arrays = {
+        "vertex_instance": ArraySpec(
+            ("n",), "int32", "Instance of each vertex of the reconstruction; 0 is background, 1..k are objects."
+        ),
+        "support_plane": ArraySpec(
+            ("4",), "float64", "Plane nx, ny, nz, d in the world frame: n.x + d = 0, n towards the objects; zeros: no plane."
+        ),
+    }
+
+    @cached_property
+    def vertex_instance(self) -> np.ndarray:
+        """(n,) int32; 0 is background."""
+        return self.read("vertex_instance")
+
+    @cached_property
+    def support_plane(self) -> np.ndarray:
+        """(4,) float64: n.x + d = 0; all zero when there is none."""
+        return self.read("support_plane")
+
+    @property
+    def instances(self) -> list[InstanceRow]:
+        """The objects, in the order of their ids."""
+        return self.metadata.instances
+
+    @staticmethod
+    def write(
+        out: Path,
+        *,
+        vertex_instance: np.ndarray,
+        support_plane: np.ndarray,
+        instances: list[InstanceRow],
+        warnings: list[str],
+    ) -> None:
+        """Write the labels of all vertices and the table of objects."""
+        metadata = {"instances": [row.model_dump() for row in instances], "warnings": warnings}
+        group = start(out, ObjectInstances, metadata)
+        write_array(group, ObjectInstances, "vertex_instance", vertex_instance)
+        write_array(group, ObjectInstances, "support_plane", support_plane)
