@@ -1,0 +1,42 @@
+"""What every test runs under: shapes checked, few threads, the same examples every time."""
+
+from __future__ import annotations
+
+import ast
+import os
+
+# Before NumPy or torch is loaded. One thread per worker: two workers share two cores, and results that depend on how a
+# sum is split over threads come out the same on every machine.
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ["DVC_NO_ANALYTICS"] = "1"
+os.environ.pop("PYTHONWARNINGS", None)
+
+import hypothesis
+import jaxtyping
+import jaxtyping._import_hook as import_hook
+
+CHECKED = ("bask_data.core", "bask_data.formats", "bask_data.nn")
+
+
+def _is_compiled(decorator: ast.expr) -> bool:
+    name = decorator.func if isinstance(decorator, ast.Call) else decorator
+    last = name.attr if isinstance(name, ast.Attribute) else name.id if isinstance(name, ast.Name) else ""
+    return last in {"njit", "jit", "vectorize", "guvectorize", "stencil"}
+
+
+# The hook wraps a function below its other decorators, so numba would be handed the wrapper, which it cannot compile.
+# Functions numba compiles are left alone, as the hook leaves those marked `no_type_check`.
+_is_exempt = import_hook._is_no_type_check
+import_hook._is_no_type_check = lambda decorator: _is_exempt(decorator) or _is_compiled(decorator)
+
+# Holds every array that goes in or out of these modules against its annotation, `Float[ndarray, "h w"]`, and binds the
+# sizes across arguments. The rest of the package speaks pydantic and typer, which look at annotations themselves.
+jaxtyping.install_import_hook(CHECKED, "beartype.beartype")
+
+hypothesis.settings.register_profile("default", deadline=None, max_examples=50)
+# The same examples on every run, so that a red run is red for the change that made it so.
+hypothesis.settings.register_profile("ci", deadline=None, max_examples=50, derandomize=True, print_blob=True)
+hypothesis.settings.register_profile("thorough", deadline=None, max_examples=1000)
+hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE") or ("ci" if os.environ.get("CI") else "default"))
