@@ -1,0 +1,147 @@
+"""The MIT-Princeton team's recordings for the Amazon Picking Challenge 2016, and those of the same rig made later.
+
+Two layouts: all numbers in `cam.info.txt`, or intrinsics and poses in files of their own. Raw depth is rotated left by
+three bits, in tenths of a millimetre. Labels are truth: `segm/frame-*.segm.png`, or the same beside the frames.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from bask_data.core.geometry import invert_rigid
+from bask_data.errors import BadData
+from bask_data.formats.camera import ImageFiles, camera_recording, parse_intrinsics, parse_pose, read_poses
+from bask_data.formats.files import frame_number, matching, member, numbers, paired, read_bytes, source_folder
+from bask_data.formats.options import ApcOptions
+from bask_data.formats.recording import Recording
+
+DEPTH_SCALE = 1e-4
+INFO_FILE = "cam.info.txt"
+INTRINSICS_FILE = "camera-intrinsics.color.txt"
+OBJECT_NAMES = {48: "chenille stems", 114: "bunny book", 132: "tissue box", 144: "joke book"}
+"""Labels are six times the object's place in the challenge's alphabetical list; these four were looked at."""
+
+
+def read(source: Path, options: ApcOptions) -> Recording:
+    """The recording in `source`, in the frame of its shelf bin where the files state it."""
+    source_folder(source)
+    info = source / INFO_FILE
+    groups = {"color": _color_files(source), "depth": matching(source, "frame-*.depth.png", "depth")}
+    if not info.exists():
+        groups["pose"] = matching(source, "frame-*.pose.txt", "pose")
+    labels = _label_pattern(source)
+    if labels:
+        groups["labels"] = matching(source, labels, "labels")
+    names = paired(source, groups)
+    rig = (
+        _rig_of_info(member(source, INFO_FILE, "calibration"), names)
+        if info.exists()
+        else _rig_of_files(source, [groups["pose"][name] for name in names])
+    )
+    world_from_cameras, world = _in_world(source, rig, options.world)
+    color, depth, label = (
+        tuple(groups[kind][name] for name in names if kind in groups) for kind in ("color", "depth", "labels")
+    )
+    images = ImageFiles(color, depth, label, rotated_depth=True)
+    time = np.array([frame_number(name) for name in names], dtype=np.float64) / options.fps
+    camera = camera_recording(options.camera, images, rig.K, "", DEPTH_SCALE, world_from_cameras, time)
+    return Recording(
+        cameras=(camera,),
+        robot=None,
+        label_names=_label_names(images),
+        assumptions={
+            "world": world,
+            "pose": "files hold world_from_camera, metres, OpenCV axes; rounding in the text taken out",
+            "depth": "z-depth registered to colour, bits rotated back, 0.0001 m per unit, 0 = no measurement",
+            "intrinsics": "the colour camera's, for colour and depth alike, no lens distortion",
+            "time": f"frame number / {options.fps:g} per second: the files state none",
+            "labels": f"{labels}, taken as truth for reports only" if labels else "none found",
+        },
+        files=(*color, *depth, *label, *rig.files),
+    )
+
+
+@dataclass(frozen=True)
+class _Rig:
+    """What the text files say."""
+
+    K: Float[ndarray, "3 3"]
+    robot_from_cameras: Float[ndarray, "t 4 4"]
+    robot_from_bin: Float[ndarray, "4 4"] | None
+    files: tuple[Path, ...]
+
+
+def _color_files(source: Path) -> dict[str, Path]:
+    """PNG as recorded, or JPEG as shipped with this package."""
+    suffix = "jpg" if any(source.glob("frame-*.color.jpg")) else "png"
+    return matching(source, f"frame-*.color.{suffix}", "color")
+
+
+def _label_pattern(source: Path) -> str:
+    """Where the labels are: in a folder, beside the frames, or nowhere (empty)."""
+    return next((pattern for pattern in ("segm/frame-*.segm.png", "frame-*.segm.png") if any(source.glob(pattern))), "")
+
+
+def _rig_of_files(source: Path, pose_files: Sequence[Path]) -> _Rig:
+    K, files = parse_intrinsics(source, str(member(source, INTRINSICS_FILE, "intrinsics")))
+    return _Rig(K, read_poses(list(pose_files)), None, (*files, *pose_files))
+
+
+def _rig_of_info(path: Path, names: Sequence[str]) -> _Rig:
+    """Reads `cam.info.txt`: matrices, each under a comment that names it."""
+    matrices = _titled_matrices(path)
+    color = _titled(path, matrices, "color camera intrinsic")
+    if len(color) != 9:
+        raise BadData(path, "color camera intrinsic", expected="a 3x3 matrix", got=f"{len(color)} numbers")
+    K, _ = parse_intrinsics(path.parent, ",".join(str(color[i]) for i in (0, 4, 2, 5)))
+    poses = [parse_pose(f"{path}: frame-{name}", _titled(path, matrices, f"for frame-{name}")) for name in names]
+    bins = [values for title, values in matrices.items() if title.startswith("bin-to-world")]
+    return _Rig(K, np.stack(poses), parse_pose(f"{path}: bin-to-world", bins[0]) if bins else None, (path,))
+
+
+def _titled_matrices(path: Path) -> dict[str, list[float]]:
+    """Numbers by the comment above them, lower case. Comments matter here, hence not `read_lines`, which drops them."""
+    matrices: dict[str, list[float]] = {}
+    title = ""
+    for line in read_bytes(path, 2**20).decode("utf-8", errors="replace").splitlines():
+        if comment := re.match(r"\s*#\s*(.*?)\s*$", line):
+            title = comment.group(1).lower()
+        elif line.strip():
+            matrices.setdefault(title, []).extend(numbers(path, line))
+    return matrices
+
+
+def _titled(path: Path, matrices: dict[str, list[float]], words: str) -> list[float]:
+    found = [values for title, values in matrices.items() if words in title]
+    if len(found) != 1:
+        raise BadData(path, words, expected="one matrix under a comment with these words", got=f"{len(found)}")
+    return found[0]
+
+
+def _in_world(source: Path, rig: _Rig, world: str) -> tuple[Float[ndarray, "t 4 4"], str]:
+    if world == "bin" and rig.robot_from_bin is None:
+        raise BadData(
+            source,
+            "--world",
+            expected=f"the bin's transform in {INFO_FILE} for world frame `bin`",
+            got="none",
+            fix="pass --world robot.",
+        )
+    if rig.robot_from_bin is None or world == "robot":
+        return rig.robot_from_cameras, "the robot's base frame, z up"
+    return invert_rigid(
+        rig.robot_from_bin
+    ) @ rig.robot_from_cameras, "the shelf bin's frame, as the file states it, z up"
+
+
+def _label_names(images: ImageFiles) -> dict[int, str]:
+    """Names of the labels that occur."""
+    present = sorted({int(value) for i in range(len(images.label)) for value in np.unique(images.read_labels(i))} - {0})
+    return {label: OBJECT_NAMES.get(label, f"label {label}") for label in present}

@@ -1,0 +1,289 @@
+"""From image files, poses and intrinsics to a camera's recording; all is checked that strangers' files get wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8, UInt16
+from numpy import ndarray
+
+from bask_data.core.geometry import nearest_rigid, rigid_fault
+from bask_data.errors import BadData, UsageError
+from bask_data.formats.files import listed, member, numbers, read_lines
+from bask_data.formats.images import (
+    ImageHeader,
+    check_color,
+    check_depth,
+    check_labels,
+    image_header,
+    read_color,
+    read_depth,
+    read_labels,
+)
+from bask_data.formats.recording import CameraRecording
+
+OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+QUATERNION_TOLERANCE = 0.01
+PLAUSIBLE_DEPTH = (0.001, 100.0)
+"""Metres between which the median depth of an image must lie; outside it the unit is wrong, not the scene."""
+
+
+@dataclass(frozen=True)
+class ImageFiles:
+    """The image files of one camera, frame by frame.
+
+    Attributes:
+        invalid_depth: raw values besides 0 that mean no measurement.
+        rotated_depth: whether raw depth is rotated left by three bits, as the APC recordings have it.
+    """
+
+    color: tuple[Path, ...]
+    depth: tuple[Path, ...]
+    label: tuple[Path, ...] = ()
+    invalid_depth: tuple[int, ...] = ()
+    rotated_depth: bool = False
+
+    def read(self, i: int) -> tuple[UInt8[ndarray, "h w 3"], UInt16[ndarray, "h w"]]:
+        return read_color(self.color[i]), self.read_depth(i)
+
+    def read_depth(self, i: int) -> UInt16[ndarray, "h w"]:
+        raw = read_depth(self.depth[i])
+        if self.invalid_depth:
+            raw = np.where(np.isin(raw, self.invalid_depth), np.uint16(0), raw)
+        return (raw >> np.uint16(3)) | (raw << np.uint16(13)) if self.rotated_depth else raw
+
+    def read_labels(self, i: int) -> UInt8[ndarray, "h w"]:
+        return read_labels(self.label[i])
+
+
+def camera_recording(
+    name: str,
+    images: ImageFiles,
+    K: Float[ndarray, "3 3"],
+    intrinsics_size: str,
+    depth_scale: float,
+    world_from_cameras: Float[ndarray, "t 4 4"],
+    time: Float[ndarray, " t"],
+) -> CameraRecording:
+    """A camera whose files have been looked at.
+
+    Args:
+        intrinsics_size: WIDTHxHEIGHT as the user states it, or empty.
+
+    Raises:
+        BadData: images of different sizes or kinds, intrinsics of another size, time running back, depth that is all
+            invalid or implausible at this scale.
+    """
+    size = _common_size(images)
+    check_intrinsics(images.color[0], K, size, intrinsics_size)
+    if not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
+        late = int(np.argmin(np.diff(time) > 0)) + 1 if len(time) > 1 else 0
+        raise BadData(
+            images.color[late], "time", expected="finite times that grow from frame to frame", got=f"{time[late]} s"
+        )
+    _check_depth_values(images, depth_scale)
+    return CameraRecording(
+        name=name,
+        K=K,
+        height=size.height,
+        width=size.width,
+        depth_scale=depth_scale,
+        world_from_cameras=world_from_cameras,
+        time=time,
+        read=images.read,
+        labels=images.read_labels if images.label else None,
+    )
+
+
+def _common_size(images: ImageFiles) -> ImageHeader:
+    """The header of the first colour image, after every file was found whole, of the right kind and as large."""
+    first: ImageHeader | None = None
+    for paths, check in ((images.color, check_color), (images.depth, check_depth), (images.label, check_labels)):
+        for path in paths:
+            header = image_header(path)
+            check(path, header)
+            first = first or header
+            if (header.height, header.width) != (first.height, first.width):
+                raise BadData(
+                    path,
+                    "size",
+                    expected=f"{first.width} x {first.height} as in {images.color[0].name}",
+                    got=f"{header.width} x {header.height}",
+                    fix="colour and depth must be registered: export depth aligned to colour, at its size.",
+                )
+    assert first is not None
+    return first
+
+
+def check_intrinsics(where: Path, K: Float[ndarray, "3 3"], size: ImageHeader, stated: str) -> None:
+    """That K fits images of this size.
+
+    Intrinsics of another resolution are the commonest mistake, and the principal point gives it away: it lies near the
+    middle of a camera's image. A crop's may not, hence the stated size.
+    """
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    actual = f"{size.width}x{size.height}"
+    if stated and stated != actual:
+        raise BadData(
+            where,
+            "intrinsics",
+            expected=f"images of {stated}",
+            got=actual,
+            fix="scale fx, fy, cx, cy to the images' size.",
+        )
+    low, high = (0.0, 1.0) if stated else (0.25, 0.75)
+    if not (low * size.width <= cx <= high * size.width and low * size.height <= cy <= high * size.height):
+        raise BadData(
+            where,
+            "intrinsics",
+            expected=f"a principal point {'inside' if stated else 'near the middle of'} images of {actual}",
+            got=f"({cx:g}, {cy:g})",
+            fix="give the intrinsics of this resolution"
+            + ("." if stated else f"; if the images are a crop, state --intrinsics-size {actual}."),
+        )
+    if not 0.1 * size.width <= min(fx, fy) <= max(fx, fy) <= 20 * size.width:
+        raise BadData(
+            where,
+            "intrinsics",
+            expected=f"focal lengths in pixels, {0.1 * size.width:g} to {20 * size.width:g}",
+            got=f"({fx:g}, {fy:g})",
+            fix="give fx, fy in pixels, not in millimetres.",
+        )
+
+
+def _check_depth_values(images: ImageFiles, depth_scale: float) -> None:
+    """Looks at frames until one has depth. A recording without any is useless; a single frame without is allowed."""
+    for i, path in enumerate(images.depth):
+        depth = images.read_depth(i)
+        measured = depth[depth > 0]
+        if measured.size == 0:
+            continue
+        median = float(np.median(measured)) * depth_scale
+        if not PLAUSIBLE_DEPTH[0] <= median <= PLAUSIBLE_DEPTH[1]:
+            raise BadData(
+                path,
+                "depth",
+                expected=f"a median between {PLAUSIBLE_DEPTH[0]:g} and {PLAUSIBLE_DEPTH[1]:g} m",
+                got=f"{median:.4g} m at {depth_scale:g} m per unit",
+                fix="pass the right --depth-scale: 0.001 for millimetres.",
+            )
+        return
+    raise BadData(
+        images.depth[0].parent,
+        "depth",
+        expected="a measurement somewhere in the recording",
+        got=f"none in {len(images.depth)} frames",
+        fix="check --invalid-depth and --depth.",
+    )
+
+
+def parse_intrinsics(source: Path, text: str) -> tuple[Float[ndarray, "3 3"], tuple[Path, ...]]:
+    """K from `fx,fy,cx,cy` or from a text file (here or in `source`), and the files it came from."""
+    if not text:
+        raise UsageError(
+            "--intrinsics",
+            expected="fx,fy,cx,cy or a file",
+            got="nothing",
+            fix="the camera's calibration has them; the size of an image alone does not tell.",
+        )
+    words = text.split(",")
+    if len(words) == 4:
+        return _intrinsics_matrix(source, numbers(Path("--intrinsics"), text)), ()
+    path = Path(text)
+    if not path.is_file():
+        path = member(source, text, "--intrinsics")
+    values = [value for line in read_lines(path) for value in numbers(path, line)]
+    return _intrinsics_matrix(path, values), (path,)
+
+
+def _intrinsics_matrix(where: Path, values: list[float]) -> Float[ndarray, "3 3"]:
+    array = np.array(values)
+    if len(values) == 4:
+        fx, fy, cx, cy = values
+        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=np.float64)
+    elif len(values) in (9, 16):
+        side = 3 if len(values) == 9 else 4
+        K = array.reshape(side, side)[:3, :3].astype(np.float64)
+    else:
+        raise BadData(
+            where, "intrinsics", expected="4 numbers fx fy cx cy, or a 3x3 or 4x4 matrix", got=f"{len(values)} numbers"
+        )
+    pinhole = np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0 and K[1, 0] == 0 and (K[2] == [0, 0, 1]).all()
+    if not pinhole:
+        raise BadData(
+            where,
+            "intrinsics",
+            expected="a pinhole matrix: fx, fy > 0, zero below the diagonal, last row 0 0 1",
+            got=K.tolist(),
+            fix="negative focal lengths mean OpenGL axes: make them positive and pass --axes opengl.",
+        )
+    return K
+
+
+def parse_pose(where: Path | str, values: list[float]) -> Float[ndarray, "4 4"]:
+    """The transform in a pose file: a 4x4 or 3x4 matrix, or tx ty tz qx qy qz qw. Rounding in the text is taken out.
+
+    Raises:
+        BadData: another count of numbers, or no rigid transform.
+    """
+    if len(values) == 7:
+        matrix = _from_quaternion(where, np.array(values))
+    elif len(values) in (12, 16):
+        matrix = np.eye(4)
+        matrix[: len(values) // 4] = np.array(values).reshape(-1, 4)
+    else:
+        raise BadData(
+            where,
+            "pose",
+            expected="a 4x4 or 3x4 matrix or tx ty tz qx qy qz qw",
+            got=f"{len(values)} numbers",
+        )
+    if fault := rigid_fault(matrix):
+        raise BadData(
+            where,
+            "pose",
+            expected="a rigid transform",
+            got=fault,
+            fix="tracking was lost or the convention is another: move the frame away, or convert the poses.",
+        )
+    return nearest_rigid(matrix)
+
+
+def _from_quaternion(where: Path | str, values: Float[ndarray, "7"]) -> Float[ndarray, "4 4"]:
+    quat_xyzw = values[3:]
+    length = float(np.linalg.norm(quat_xyzw))
+    if not abs(length - 1) <= QUATERNION_TOLERANCE:
+        raise BadData(
+            where,
+            "pose",
+            expected="a quaternion of length 1",
+            got=f"length {length:.4g}",
+            fix="the order of a line is tx ty tz qx qy qz qw.",
+        )
+    x, y, z, w = quat_xyzw / length
+    matrix = np.eye(4)
+    matrix[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    matrix[:3, 3] = values[:3]
+    return matrix
+
+
+def read_poses(paths: list[Path]) -> Float[ndarray, "t 4 4"]:
+    """One transform a file. All files are read before the first fault is raised, so that the message can count them."""
+    poses, faults = [], []
+    for path in paths:
+        try:
+            poses.append(parse_pose(path, [value for line in read_lines(path) for value in numbers(path, line)]))
+        except BadData as fault:
+            faults.append((path, fault))
+    if faults:
+        first = faults[0][1]
+        if len(faults) > 1:
+            first.add_note(f"also: {listed([path.name for path, _ in faults[1:]])}")
+        raise first
+    return np.stack(poses)

@@ -1,0 +1,124 @@
+"""Files from strangers: found without leaving the source folder, read up to a size, parsed as plain numbers."""
+
+from __future__ import annotations
+
+import glob
+import re
+import stat
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+
+from bask_data.errors import BadData, UsageError
+
+MAX_TEXT_BYTES = 64 * 2**20
+MAX_IMAGE_BYTES = 512 * 2**20
+
+
+def source_folder(source: Path) -> Path:
+    """`source`, once it is known to be a folder."""
+    if not source.is_dir():
+        raise UsageError(source, "SOURCE", expected="a folder", got="a file" if source.exists() else "nothing there")
+    return source
+
+
+def member(source: Path, relative: str, field: str) -> Path:
+    """The regular file at `relative` inside `source`: no `..`, no absolute path, no link that leads out."""
+    pure = PurePosixPath(relative)
+    if pure.is_absolute() or ".." in pure.parts:
+        raise BadData(source, field, expected="a path inside the source folder", got=repr(relative))
+    path = source / pure
+    if not path.exists():
+        raise BadData(path, field, expected="a file", got="nothing there", fix="check SOURCE and the file names in it.")
+    if not path.resolve().is_relative_to(source.resolve()):
+        raise BadData(
+            path, field, expected="a file inside the source folder", got="a link out of it", fix="copy the file in."
+        )
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise BadData(path, field, expected="a regular file", got="something else")
+    return path
+
+
+def matching(source: Path, pattern: str, option: str) -> dict[str, Path]:
+    """Files that fit `pattern`, by the text that its one `*` matches, in natural order."""
+    if pattern.count("*") != 1:
+        raise UsageError(
+            f"--{option}", expected="a pattern with one *", got=repr(pattern), fix="for example 'frame-*.color.png'."
+        )
+    if PurePosixPath(pattern).is_absolute() or ".." in PurePosixPath(pattern).parts:
+        raise UsageError(f"--{option}", expected="a pattern inside SOURCE", got=repr(pattern))
+    before, after = pattern.split("*")
+    key = re.compile(f"{re.escape(before)}([^/]+){re.escape(after)}")
+    found = {}
+    for path in source.glob(f"{glob.escape(before)}*{glob.escape(after)}"):
+        relative = path.relative_to(source).as_posix()
+        if match := key.fullmatch(relative):
+            found[match.group(1)] = member(source, relative, f"--{option}")
+    if not found:
+        raise BadData(
+            source, f"--{option}", expected=f"files that fit {pattern!r}", got="none", fix=f"pass --{option} PATTERN."
+        )
+    return {name: found[name] for name in sorted(found, key=natural)}
+
+
+def natural(text: str) -> list[tuple[int, int, str]]:
+    """A sort key that orders frame 9 before frame 10."""
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"([0-9]+)", text) if part]
+
+
+def frame_number(name: str) -> int | None:
+    """The last whole number in a frame's name; None when there is none."""
+    numbers = re.findall(r"[0-9]+", name)
+    return int(numbers[-1]) if numbers else None
+
+
+def paired(source: Path, groups: dict[str, dict[str, Path]]) -> list[str]:
+    """The frames' names, after checking that each has a file in every group."""
+    names = {name for group in groups.values() for name in group}
+    for kind, group in groups.items():
+        missing = sorted(names - set(group), key=natural)
+        if missing:
+            raise BadData(
+                source,
+                f"frame {listed(missing)}",
+                expected=f"a {kind} file for every frame",
+                got=f"none for {len(missing)} of {len(names)}",
+                fix=f"check --{kind}; move frames away that have no {kind}.",
+            )
+    return sorted(names, key=natural)
+
+
+def listed(names: Sequence[str], limit: int = 5) -> str:
+    """The first few names and how many more there are."""
+    rest = len(names) - limit
+    return ", ".join(names[:limit]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def read_bytes(path: Path, limit: int = MAX_IMAGE_BYTES) -> bytes:
+    """A file's bytes, when there are any and not too many."""
+    size = path.stat().st_size
+    if size == 0:
+        raise BadData(path, "size", expected="some bytes", got="an empty file", fix="copy it again from its source.")
+    if size > limit:
+        raise BadData(path, "size", expected=f"at most {limit} bytes", got=f"{size}")
+    return path.read_bytes()
+
+
+def read_lines(path: Path) -> list[str]:
+    """A text file's lines that say something: no comments, no blanks."""
+    data = read_bytes(path, MAX_TEXT_BYTES)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:
+        raise BadData(path, "content", expected="text", got="a binary file")
+    lines = (line.split("#", 1)[0].strip() for line in text.splitlines())
+    return [line for line in lines if line]
+
+
+def numbers(path: Path, line: str) -> list[float]:
+    """The numbers in a line, separated by blanks or commas."""
+    try:
+        return [float(word) for word in line.replace(",", " ").split()]
+    except ValueError:
+        raise BadData(path, "content", expected="numbers", got=repr(line[:80])) from None

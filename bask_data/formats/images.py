@@ -1,0 +1,188 @@
+"""Image files: looked at before they are decoded, so that a broken, disguised or gigantic one is refused by name.
+
+OpenCV returns nothing for an unreadable file, decodes a truncated one as far as it goes, and turns JPEGs by their EXIF
+tag. All three would go through silently.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8, UInt16
+from numpy import ndarray
+
+from bask_data.errors import BadData
+from bask_data.formats.files import read_bytes
+
+MAX_PIXELS = 100_000_000
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
+"""Channels by PNG colour type; a palette (3) decodes to colour."""
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What an image file says of itself before it is decoded."""
+
+    height: int
+    width: int
+    bits: int
+    channels: int
+
+
+def image_header(path: Path, data: bytes | None = None) -> ImageHeader:
+    """The header of a PNG, JPEG, PGM or PPM file that is whole.
+
+    Raises:
+        BadData: another format, cut short, a wrong checksum, or too many pixels.
+    """
+    data = read_bytes(path) if data is None else data
+    if data.startswith(PNG_SIGNATURE):
+        header = _png_header(path, data)
+    elif data.startswith(b"\xff\xd8"):
+        header = _jpeg_header(path, data)
+    elif data[:2] in (b"P5", b"P6"):
+        header = _pnm_header(path, data)
+    else:
+        raise BadData(
+            path, "image", expected="a PNG, JPEG, PGM or PPM file", got=f"bytes {data[:8]!r}", fix="convert it to PNG."
+        )
+    if not 0 < header.height * header.width <= MAX_PIXELS:
+        raise BadData(
+            path, "size", expected=f"1 to {MAX_PIXELS} pixels", got=f"{header.width} x {header.height} in the header"
+        )
+    return header
+
+
+def read_color(path: Path) -> UInt8[ndarray, "h w 3"]:
+    """A colour image, RGB. Gray is repeated, transparency dropped, an EXIF rotation ignored: K knows nothing of it."""
+    data = read_bytes(path)
+    header = image_header(path, data)
+    check_color(path, header)
+    image = _decode(path, data, header, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return np.ascontiguousarray(image[..., ::-1])
+
+
+def read_depth(path: Path) -> UInt16[ndarray, "h w"]:
+    """A raw 16-bit depth image."""
+    data = read_bytes(path)
+    header = image_header(path, data)
+    check_depth(path, header)
+    return _decode(path, data, header, cv2.IMREAD_UNCHANGED)
+
+
+def read_labels(path: Path) -> UInt8[ndarray, "h w"]:
+    """An 8-bit label image."""
+    data = read_bytes(path)
+    header = image_header(path, data)
+    check_labels(path, header)
+    return _decode(path, data, header, cv2.IMREAD_UNCHANGED)
+
+
+def check_color(path: Path, header: ImageHeader) -> None:
+    """Refuses colour of more than 8 bits a channel: how to scale it down is not ours to guess."""
+    if header.bits != 8:
+        raise BadData(
+            path,
+            "colour",
+            expected="8 bits a channel",
+            got=f"{header.bits}",
+            fix="convert the image to 8 bits a channel.",
+        )
+
+
+def check_depth(path: Path, header: ImageHeader) -> None:
+    """Refuses anything but one channel of 16 bits."""
+    if (header.bits, header.channels) != (16, 1):
+        raise BadData(
+            path,
+            "depth",
+            expected="one channel of 16 bits",
+            got=f"{header.channels} of {header.bits}",
+            fix="export raw 16-bit depth: 8-bit or coloured depth is for looking at only. Is it the colour? Check --depth.",
+        )
+
+
+def check_labels(path: Path, header: ImageHeader) -> None:
+    """Refuses anything but one channel of 8 bits: a palette would decode to colours."""
+    if (header.bits, header.channels) != (8, 1):
+        raise BadData(path, "labels", expected="one channel of 8 bits", got=f"{header.channels} of {header.bits}")
+
+
+def _decode(path: Path, data: bytes, header: ImageHeader, flags: int) -> ndarray:
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        image = None
+    if image is None or image.shape[:2] != (header.height, header.width):
+        raise BadData(
+            path,
+            "image",
+            expected="a readable image",
+            got="one that does not decode",
+            fix="copy it again from its source.",
+        )
+    return image
+
+
+def _truncated(path: Path, what: str) -> BadData:
+    return BadData(
+        path, "image", expected=what, got="a file cut short or damaged", fix="copy it again from its source."
+    )
+
+
+def _png_header(path: Path, data: bytes) -> ImageHeader:
+    """Walks all chunks: their checksums cost a millisecond and catch what the decoder lets through with a warning."""
+    position, header = len(PNG_SIGNATURE), None
+    while position + 12 <= len(data):
+        length = int.from_bytes(data[position : position + 4], "big")
+        kind = data[position + 4 : position + 8]
+        end = position + 8 + length
+        if zlib.crc32(data[position + 4 : end]) != int.from_bytes(data[end : end + 4], "big"):
+            raise _truncated(path, "PNG chunks with their checksums")
+        if kind == b"IHDR" and length == 13:
+            width, height = (int.from_bytes(data[position + at : position + at + 4], "big") for at in (8, 12))
+            bits, color_type = data[position + 16], data[position + 17]
+            palette = color_type == 3
+            header = ImageHeader(height, width, 8 if palette else bits, PNG_CHANNELS.get(color_type, 0))
+        if kind == b"IEND" and header is not None:
+            return header
+        position = end + 4
+    raise _truncated(path, "a PNG that ends in IEND")
+
+
+def _jpeg_header(path: Path, data: bytes) -> ImageHeader:
+    """Walks the segments up to the picture, then looks for its end: a thumbnail before it has an end marker as well."""
+    position, header = 2, None
+    while position + 4 <= len(data) and data[position] == 0xFF:
+        marker = data[position + 1]
+        if marker == 0xFF:
+            position += 1
+            continue
+        length = int.from_bytes(data[position + 2 : position + 4], "big")
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC) and position + 10 <= len(data):
+            height, width = (int.from_bytes(data[position + at : position + at + 2], "big") for at in (5, 7))
+            header = ImageHeader(height, width, data[position + 4], data[position + 9])
+        position += 2 + length
+        if marker == 0xDA:
+            break
+    if header is None or data.find(b"\xff\xd9", position) < 0:
+        raise _truncated(path, "a JPEG with a frame header and an end marker")
+    return header
+
+
+def _pnm_header(path: Path, data: bytes) -> ImageHeader:
+    space = rb"(?:\s|#[^\n]*\n)+"
+    match = re.match(rb"P([56])" + space + rb"(\d{1,9})" + space + rb"(\d{1,9})" + space + rb"(\d{1,5})\s", data[:4096])
+    if match is None:
+        raise _truncated(path, "a PGM or PPM header")
+    kind, width, height, largest = (int(group) for group in match.groups())
+    header = ImageHeader(height, width, 8 if largest < 256 else 16, 1 if kind == 5 else 3)
+    if len(data) - match.end() < height * width * header.channels * header.bits // 8:
+        raise _truncated(path, f"{width} x {height} pixels")
+    return header
