@@ -145,6 +145,14 @@ class Artifact:
                 self.path / "zarr.json", "bask." + ".".join(map(str, first["loc"])), expected=first["msg"]
             ) from error
 
+    @property
+    def camera_names(self) -> list[str]:
+        """Names of the cameras, sorted; none for kinds without cameras."""
+        names = (folder.name for folder in self.path.iterdir() if (folder / "zarr.json").exists())
+        return sorted(
+            name for name in names if read_json(self.path / name / "zarr.json").get("node_type") == "group" and name != "robot"
+        )
+
     def read(self, name: str) -> np.ndarray:
         """A whole array of the artifact."""
         try:

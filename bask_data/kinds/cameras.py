@@ -105,11 +105,6 @@ class Recording(Artifact):
     metadata_model = RecordingMetadata
     arrays = CAMERA_ARRAYS
 
-    @property
-    def camera_names(self) -> list[str]:
-        """Names of the cameras, sorted."""
-        return sorted(name for name, _ in self.group.groups() if name != "robot")
-
     def camera(self, name: str) -> Camera:
         """One camera's stream."""
         return Camera(self.group[name], self.path / name)  # type: ignore[arg-type]

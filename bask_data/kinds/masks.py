@@ -67,11 +67,6 @@ class VisibleMasks(Artifact):
         """Number of objects in the scene."""
         return self.metadata.n_instances
 
-    @property
-    def camera_names(self) -> list[str]:
-        """Names of the cameras, sorted."""
-        return sorted(name for name, _ in self.group.groups())
-
     def camera(self, name: str) -> CameraMasks:
         """One camera's masks."""
         return CameraMasks(self.group[name], self.path / name)  # type: ignore[arg-type]

@@ -32,11 +32,6 @@ class Truth(Artifact):
         """Name of each label."""
         return self.metadata.label_names
 
-    @property
-    def camera_names(self) -> list[str]:
-        """Names of the cameras, sorted."""
-        return sorted(name for name, _ in self.group.groups())
-
     def instance(self, camera: str, i_frame: int) -> np.ndarray:
         """Labels of one frame (h, w) uint8."""
         return read_frame(self.group[f"{camera}/instance"], i_frame, self.path / camera / "instance")  # type: ignore[arg-type]

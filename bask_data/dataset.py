@@ -1,0 +1,200 @@
+"""Datasets: a directory with a list of its items, `dataset.json`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from bask_data.artifact import SCRATCH, Artifact, read_json, recover, write_group, write_json_atomically
+from bask_data.errors import BadData, UsageError, WouldOverwrite
+
+DATASET = "dataset.json"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+
+
+class Splits(BaseModel):
+    """Which scenes are for what. Splits are by scene, never by frame: frames of one scene resemble each other."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    train: tuple[str, ...] = ()
+    validation: tuple[str, ...] = ()
+    test: tuple[str, ...] = ()
+
+
+class Source(BaseModel):
+    """How an item came in: enough to ingest it again.
+
+    Args:
+        path: of the source, relative to the dataset's directory where that was possible.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    format: str
+    path: str
+    options: dict[str, Any] = {}
+
+
+class Variant(BaseModel):
+    """A further result of a stage with other parameters, beside `main`.
+
+    Args:
+        inputs: variant of each input kind that has variants.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    inputs: dict[str, str] = {}
+
+
+class DatasetFile(BaseModel):
+    """The content of `dataset.json`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    bask_dataset: int = 1
+    name: str
+    licence: str = ""
+    scenes: dict[str, Source] = {}
+    demonstrations: dict[str, Source] = {}
+    splits: Splits = Splits()
+    variants: dict[str, dict[str, Variant]] = {}
+
+
+class Dataset:
+    """A dataset on disk. `dataset.json` is the list of items; directories are not."""
+
+    def __init__(self, root: Path | str) -> None:
+        """Open an existing dataset; `BadData` if there is none."""
+        self.root = Path(root)
+        file = self.root / DATASET
+        if not file.exists():
+            raise BadData(
+                self.root, "", expected=f"a dataset (a directory with {DATASET})", got="none", fix=f"bask-data init {root}"
+            )
+        try:
+            self.file = DatasetFile.model_validate(read_json(file))
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise BadData(
+                file, ".".join(map(str, first["loc"])), expected=first["msg"], got=str(first.get("input"))[:80]
+            ) from error
+        for name in [*self.file.scenes, *self.file.demonstrations]:
+            check_name(name, file)
+        for kind, variants in self.file.variants.items():
+            for name in variants:
+                check_name(name, file)
+            check_name(kind, file)
+
+    @staticmethod
+    def create(root: Path | str, name: str = "", licence: str = "") -> Dataset:
+        """Make an empty dataset; `WouldOverwrite` if there is one."""
+        root = Path(root)
+        if (root / DATASET).exists():
+            raise WouldOverwrite(root / DATASET, "", expected="no dataset", got="one", fix="use it as it is.")
+        if root.exists() and not root.is_dir():
+            raise UsageError(root, "", expected="a directory", got="a file")
+        write_group(root, {"bask": {"dataset": 1}})
+        content = DatasetFile(name=name or root.resolve().name, licence=licence)
+        write_json_atomically(root / DATASET, content.model_dump(mode="json"))
+        return Dataset(root)
+
+    @staticmethod
+    def open_or_create(root: Path | str) -> Dataset:
+        """Open the dataset, or make it if there is nothing at all."""
+        return Dataset(root) if (Path(root) / DATASET).exists() else Dataset.create(root)
+
+    def items(self, scope: str) -> list[str]:
+        """Names of the scenes, the demonstrations or both, in the order they were added."""
+        if scope == "scene":
+            return list(self.file.scenes)
+        if scope == "demonstration":
+            return list(self.file.demonstrations)
+        return [*self.file.scenes, *self.file.demonstrations]
+
+    def path(self, artifact: type[Artifact], item: str = "", variant: str = "main") -> Path:
+        """Where an artifact lies, whether it exists or not."""
+        path = self.root / artifact.kind
+        if artifact.has_variants:
+            path /= variant
+        return path if artifact.scope == "dataset" else path / item
+
+    def prepare(self, artifact: type[Artifact], variant: str = "main") -> None:
+        """Make the groups above an artifact, so that any Zarr reader finds its way down."""
+        parents = [self.root, self.root / artifact.kind]
+        if artifact.has_variants and artifact.scope != "dataset":
+            parents.append(self.root / artifact.kind / variant)
+        for parent in parents:
+            if not (parent / "zarr.json").exists():
+                write_group(parent, {"bask": {"dataset": 1}} if parent == self.root else {})
+
+    def add(self, scope: str, item: str, source: Source) -> None:
+        """Enter an item, or replace its source."""
+
+        def enter(file: DatasetFile) -> DatasetFile:
+            scenes, demonstrations = dict(file.scenes), dict(file.demonstrations)
+            (scenes if scope == "scene" else demonstrations)[item] = source
+            return file.model_copy(update={"scenes": scenes, "demonstrations": demonstrations})
+
+        check_name(item, self.root / DATASET)
+        other = self.file.demonstrations if scope == "scene" else self.file.scenes
+        if item in other:
+            raise UsageError(
+                self.root / DATASET, item, expected=f"a {scope}", got="the name of the other sort of recording", fix="choose another name."
+            )
+        self._update(enter)
+
+    def add_variant(self, artifact: type[Artifact], name: str, variant: Variant) -> None:
+        """Enter a variant of a kind, so that `status` and `run` know it."""
+        check_name(name, self.root / DATASET)
+
+        def enter(file: DatasetFile) -> DatasetFile:
+            of_kind = {**file.variants.get(artifact.kind, {}), name: variant}
+            return file.model_copy(update={"variants": {**file.variants, artifact.kind: of_kind}})
+
+        if self.variants(artifact).get(name) != variant:
+            self._update(enter)
+
+    def set_splits(self, splits: Splits) -> None:
+        """Replace the splits. Every name must be a scene, and in one split only."""
+        names = [*splits.train, *splits.validation, *splits.test]
+        for name in names:
+            if name not in self.file.scenes:
+                raise UsageError(
+                    self.root / DATASET, "splits", expected=f"one of {', '.join(self.file.scenes) or 'no scenes'}", got=name
+                )
+        doubled = sorted({name for name in names if names.count(name) > 1})
+        if doubled:
+            raise UsageError(self.root / DATASET, "splits", expected="each scene in one split", got=", ".join(doubled))
+        self._update(lambda file: file.model_copy(update={"splits": splits}))
+
+    def variants(self, artifact: type[Artifact]) -> dict[str, Variant]:
+        """The variants of a kind; `main` is always there, and of other kinds the only one."""
+        main = {"main": Variant()}
+        return {**main, **self.file.variants.get(artifact.kind, {})} if artifact.has_variants else main
+
+    def recover(self) -> None:
+        """Clear away what a killed process left."""
+        recover(self.root)
+
+    def _update(self, change: Any) -> None:
+        (self.root / SCRATCH).mkdir(exist_ok=True)
+        with FileLock(self.root / SCRATCH / "dataset.lock"):
+            current = Dataset(self.root).file
+            changed = change(current)
+            if changed != current:
+                write_json_atomically(self.root / DATASET, changed.model_dump(mode="json"))
+            self.file = changed
+
+
+def check_name(name: str, where: Path) -> None:
+    """Refuse names that would not be one plain directory; `UsageError`."""
+    if not _NAME.fullmatch(name):
+        raise UsageError(
+            where, "name", expected="letters, digits, '_' and '-', at most 64, beginning with a letter or digit", got=repr(name)
+        )

@@ -1,0 +1,48 @@
+"""The kinds of artifact, one module each: a typed handle, its schema, how to read and how to write it."""
+
+from __future__ import annotations
+
+from bask_data.artifact import Artifact
+from bask_data.kinds.cameras import Camera, Recording, Scan
+from bask_data.kinds.correspondences import Correspondences, PairRow
+from bask_data.kinds.demonstration import Demonstration, Robot
+from bask_data.kinds.descriptor import DescriptorNet
+from bask_data.kinds.keypoints import KeypointTrack
+from bask_data.kinds.masks import VisibleMasks
+from bask_data.kinds.objects import InstanceRow, ObjectInstances
+from bask_data.kinds.reconstruction import Reconstruction
+from bask_data.kinds.reference import Pick, ReferenceKeypoints
+from bask_data.kinds.truth import Truth
+
+KINDS: tuple[type[Artifact], ...] = (
+    Scan,
+    Demonstration,
+    Truth,
+    Reconstruction,
+    ObjectInstances,
+    VisibleMasks,
+    Correspondences,
+    DescriptorNet,
+    ReferenceKeypoints,
+    KeypointTrack,
+)
+
+__all__ = [
+    "KINDS",
+    "Camera",
+    "Correspondences",
+    "Demonstration",
+    "DescriptorNet",
+    "InstanceRow",
+    "KeypointTrack",
+    "ObjectInstances",
+    "PairRow",
+    "Pick",
+    "Reconstruction",
+    "Recording",
+    "ReferenceKeypoints",
+    "Robot",
+    "Scan",
+    "Truth",
+    "VisibleMasks",
+]

@@ -1,0 +1,502 @@
+"""Stages: one function that makes one kind of artifact. Everything else is read off its signature.
+
+A parameter annotated with a kind is an input: of the same item if the kind has the stage's scope, the dataset's one if the kind belongs to the dataset,
+and all items' if it is `list[Kind]`. `params` holds what changes the result, `out` is the empty directory to fill, `Splits` gives the dataset's
+splits. Exactly one stage makes a kind, so the graph needs no names.
+"""
+
+from __future__ import annotations
+
+import getpass
+import importlib
+import json
+import os
+import platform
+import shutil
+import socket
+import sys
+import time
+import typing
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, as_completed
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from filelock import FileLock
+from pydantic import ValidationError
+
+from bask_data import __version__
+from bask_data.artifact import (
+    SCRATCH,
+    Artifact,
+    Manifest,
+    digest_of,
+    new_scratch,
+    publish,
+    read_manifest,
+    seal,
+    write_json_atomically,
+)
+from bask_data.dataset import Dataset, Splits, Variant
+from bask_data.errors import BadData, BaskError, UsageError
+from bask_data.params import Params
+from bask_data.progress import progress, report
+
+__all__ = [
+    "Config",
+    "Outcome",
+    "Params",
+    "Splits",
+    "Stage",
+    "State",
+    "Task",
+    "in_order",
+    "key_parts",
+    "make",
+    "plan",
+    "progress",
+    "record",
+    "resolve",
+    "run",
+    "stage",
+    "state_of",
+]
+
+Config = dict[str, dict[str, Any]]
+"""Parameters by section: the name of a stage, or `stage@name` for one item or variant."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """An input of a stage. `gather`: a list over all items of the kind's scope."""
+
+    name: str
+    artifact: type[Artifact]
+    gather: bool
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A declared stage; call it like the function it was made from."""
+
+    name: str
+    makes: type[Artifact]
+    version: int
+    resumable: bool
+    params: type[Params]
+    inputs: tuple[Input, ...]
+    wants_splits: bool
+    function: Callable[..., None]
+    help: str
+
+    def __call__(self, *args: Any, **kwargs: Any) -> None:
+        self.function(*args, **kwargs)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A stage crosses processes by name: its module holds it under the function's name.
+        return _load_stage, (self.function.__module__, self.function.__name__)
+
+
+def _load_stage(module: str, name: str) -> Stage:
+    return getattr(importlib.import_module(module), name)
+
+
+def stage(*, makes: type[Artifact], version: int, resumable: bool = False) -> Callable[[Callable[..., None]], Stage]:
+    """Declare a function as the stage that makes a kind.
+
+    Args:
+        version: raise it by hand when the results change; it is part of the skip key.
+        resumable: after a kill, `out` still holds what the last attempt wrote with the same key.
+    """
+
+    def declare(function: Callable[..., None]) -> Stage:
+        hints = typing.get_type_hints(function)
+        inputs, params, wants_splits = [], Params, False
+        for name, hint in hints.items():
+            if name in ("out", "return"):
+                continue
+            if hint is Splits:
+                wants_splits = True
+            elif typing.get_origin(hint) is list:
+                inputs.append(Input(name, typing.get_args(hint)[0], gather=True))
+            elif issubclass(hint, Artifact):
+                inputs.append(Input(name, hint, gather=False))
+            else:
+                assert issubclass(hint, Params), f"{function.__name__}: {name} is no input, Params or Splits"
+                params = hint
+        return Stage(
+            name=function.__name__,
+            makes=makes,
+            version=version,
+            resumable=resumable,
+            params=params,
+            inputs=tuple(inputs),
+            wants_splits=wants_splits,
+            function=function,
+            help=(function.__doc__ or "").strip(),
+        )
+
+    return declare
+
+
+@dataclass(frozen=True)
+class Binding:
+    """One artifact that a task reads."""
+
+    artifact: type[Artifact]
+    item: str
+    variant: str
+
+
+@dataclass(frozen=True)
+class Task:
+    """One artifact to make: a stage, an item, a variant and resolved parameters. Picklable and idempotent."""
+
+    root: Path
+    stage: Stage
+    item: str
+    variant: str
+    params: Params
+    inputs: dict[str, tuple[Binding, ...]]
+    splits: Splits
+
+    @property
+    def dataset(self) -> Dataset:
+        return Dataset(self.root)
+
+    @property
+    def target(self) -> Path:
+        """Where the artifact lies or will lie."""
+        return self.dataset.path(self.stage.makes, self.item, self.variant)
+
+    @property
+    def label(self) -> str:
+        """The task in words: stage, variant unless it is `main`, item."""
+        parts = [self.stage.name, self.variant if self.variant != "main" else "", self.item]
+        return " ".join(part for part in parts if part)
+
+    def input_path(self, binding: Binding) -> Path:
+        """Where an input lies."""
+        return self.dataset.path(binding.artifact, binding.item, binding.variant)
+
+
+@dataclass(frozen=True)
+class State:
+    """Whether a task has to run.
+
+    Args:
+        status: `blocked` when an input is missing.
+        why: in words, for `missing` empty.
+    """
+
+    status: Literal["up to date", "missing", "stale", "blocked"]
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a task."""
+
+    label: str
+    kind: str
+    item: str
+    variant: str
+    path: str
+    status: Literal["made", "up to date", "failed", "blocked", "would make"]
+    why: str = ""
+    seconds: float = 0.0
+    digest: str = ""
+    error: BaskError | None = None
+
+
+def in_order(stages: Iterable[Stage]) -> list[Stage]:
+    """The stages sorted so that each comes after those that make its inputs."""
+    waiting, ordered = list(stages), []
+    while waiting:
+        unmade = {stage.makes for stage in waiting}
+        ready = [stage for stage in waiting if not unmade & {given.artifact for given in stage.inputs}]
+        assert ready, "the stages form a cycle"
+        ordered += ready
+        waiting = [stage for stage in waiting if stage not in ready]
+    return ordered
+
+
+def resolve(stage: Stage, config: Config, item: str, variant: str, options: dict[str, Any]) -> Params:
+    """The parameters of one task: options over `stage@item` over `stage@variant` over `stage` over defaults."""
+    values: dict[str, Any] = {}
+    sections = [stage.name, f"{stage.name}@{variant}", f"{stage.name}@{item}"]
+    for section in sections:
+        values.update(config.get(section) or {})
+    values.update(options)
+    try:
+        return stage.params.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(map(str, first["loc"]))
+        known = ", ".join(stage.params.model_fields)
+        fix = f"one of {known}." if first["type"] == "extra_forbidden" else f"see `bask-data {stage.name} --help`."
+        raise UsageError(
+            stage.name, field, expected=first["msg"], got=json.dumps(first.get("input"), default=str)[:80], fix=fix
+        ) from error
+
+
+def plan(
+    dataset: Dataset,
+    stage: Stage,
+    *,
+    config: Config | None = None,
+    options: dict[str, Any] | None = None,
+    only: Sequence[str] = (),
+    variant: str = "main",
+    variant_inputs: dict[str, str] | None = None,
+) -> list[Task]:
+    """The tasks of a stage: one an item, or one for the dataset.
+
+    Args:
+        only: names of items; empty means all.
+        variant_inputs: variant of each input kind that has variants; without an entry, as `dataset.json` says, else the variant's own name.
+    """
+    makes = stage.makes
+    items = dataset.items(makes.scope) if makes.scope != "dataset" else [""]
+    unknown = [name for name in only if name not in items]
+    if unknown and makes.scope != "dataset":
+        raise UsageError(
+            dataset.root, "--only", expected=f"one of {', '.join(items) or 'no items yet'}", got=", ".join(unknown)
+        )
+    recorded = dataset.variants(makes).get(variant, Variant()).inputs
+    chosen = {**recorded, **(variant_inputs or {})}
+    tasks = []
+    for item in items:
+        if only and makes.scope != "dataset" and item not in only:
+            continue
+        inputs = {
+            given.name: tuple(
+                Binding(
+                    given.artifact,
+                    name,
+                    chosen.get(given.artifact.kind, variant) if given.artifact.has_variants else "main",
+                )
+                for name in _items_of(dataset, given, item)
+            )
+            for given in stage.inputs
+        }
+        tasks.append(
+            Task(
+                root=dataset.root,
+                stage=stage,
+                item=item,
+                variant=variant,
+                params=resolve(stage, config or {}, item, variant, options or {}),
+                inputs=inputs,
+                splits=dataset.file.splits if stage.wants_splits else Splits(),
+            )
+        )
+    return tasks
+
+
+def _items_of(dataset: Dataset, given: Input, item: str) -> list[str]:
+    if given.artifact.scope == "dataset":
+        return [""]
+    return dataset.items(given.artifact.scope) if given.gather else [item]
+
+
+def key_parts(task: Task) -> dict[str, Any]:
+    """Everything the result depends on; its digest is the skip key. `BadData` when an input has no manifest."""
+    inputs = {}
+    for bindings in task.inputs.values():
+        for binding in bindings:
+            path = task.input_path(binding)
+            inputs[path.relative_to(task.root).as_posix()] = read_manifest(path).digest
+    parts = {
+        "kind": task.stage.makes.kind,
+        "schema": task.stage.makes.schema_version,
+        "stage": task.stage.name,
+        "version": task.stage.version,
+        "params": task.params.model_dump(mode="json"),
+        "inputs": inputs,
+    }
+    if task.stage.wants_splits:
+        parts["splits"] = task.splits.model_dump(mode="json")
+    return parts
+
+
+def state_of(task: Task) -> State:
+    """Whether a task has to run, and why."""
+    for bindings in task.inputs.values():
+        for binding in bindings:
+            path = task.input_path(binding)
+            if not (path / "artifact.json").exists():
+                return State("blocked", f"{path.relative_to(task.root).as_posix()} is missing")
+    if any(not bindings for bindings in task.inputs.values()):
+        return State("blocked", "the dataset has no scenes")
+    if not task.target.exists():
+        return State("missing")
+    try:
+        manifest = read_manifest(task.target)
+    except BadData:
+        return State("stale", "its manifest is missing or broken")
+    parts = key_parts(task)
+    if manifest.key == digest_of(parts):
+        return State("up to date")
+    return State("stale", _difference(manifest, parts))
+
+
+def _difference(manifest: Manifest, parts: dict[str, Any]) -> str:
+    """What changed since the artifact was made, in words."""
+    if manifest.stage_version != parts["version"] or manifest.schema_version != parts["schema"]:
+        return f"made by version {manifest.stage_version} of the stage, this is {parts['version']}"
+    names = {*manifest.params, *parts["params"]}
+    changed = sorted(name for name in names if manifest.params.get(name) != parts["params"].get(name))
+    if changed:
+        return "changed: " + ", ".join(
+            f"{name} {manifest.params.get(name)} -> {parts['params'].get(name)}" for name in changed
+        )
+    paths = {*manifest.inputs, *parts["inputs"]}
+    moved = sorted(path for path in paths if manifest.inputs.get(path) != parts["inputs"].get(path))
+    return "changed: " + ", ".join(moved) if moved else "changed: splits"
+
+
+def make(task: Task, force: bool = False) -> Outcome:
+    """Make one artifact unless it is up to date. Errors come back in the outcome, so that other items go on."""
+    begun = time.perf_counter()
+    path = str(task.target)
+    outcome = Outcome(task.label, task.stage.makes.kind, task.item, task.variant, path, "made")
+    try:
+        state = state_of(task)
+        if state.status == "blocked":
+            return replace(outcome, status="blocked", why=state.why)
+        if state.status == "up to date" and not force:
+            return replace(outcome, status="up to date", digest=read_manifest(task.target).digest)
+        manifest = _make(task, begun)
+    except BaskError as error:
+        return replace(outcome, status="failed", why=_with_notes(error), seconds=time.perf_counter() - begun, error=error)
+    return replace(outcome, seconds=time.perf_counter() - begun, digest=manifest.digest, why=state.why)
+
+
+def _with_notes(error: BaskError) -> str:
+    return "\n".join([str(error), *getattr(error, "__notes__", [])])
+
+
+def _make(task: Task, begun: float) -> Manifest:
+    parts = key_parts(task)
+    key = digest_of(parts)
+    arguments: dict[str, Any] = {}
+    for given in task.stage.inputs:
+        handles = [given.artifact(task.input_path(binding)) for binding in task.inputs[given.name]]
+        arguments[given.name] = handles if given.gather else handles[0]
+    hints = typing.get_type_hints(task.stage.function)
+    for name, hint in hints.items():
+        if hint is Splits:
+            arguments[name] = task.splits
+    task.dataset.prepare(task.stage.makes, task.variant)
+
+    def fill(scratch: Path) -> Manifest:
+        if "params" in hints:
+            arguments["params"] = task.params
+        task.stage.function(**arguments, out=scratch)
+        manifest = seal(
+            scratch,
+            artifact=task.stage.makes,
+            stage=task.stage.name,
+            stage_version=task.stage.version,
+            params=parts["params"],
+            inputs=parts["inputs"],
+            key=key,
+        )
+        publish(scratch, task.target)
+        return manifest
+
+    if task.stage.resumable:
+        manifest = _fill_resumable(task, key, fill)
+    else:
+        scratch = new_scratch(task.root, task.stage.makes.kind)
+        try:
+            manifest = fill(scratch)
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+    record(task.root, task.target, begun, manifest.key)
+    return manifest
+
+
+def _fill_resumable(task: Task, key: str, fill: Callable[[Path], Manifest]) -> Manifest:
+    """Run with a scratch directory that a kill leaves in place, named by the key, for one process at a time."""
+    folder = task.root / SCRATCH
+    prefix = f"resume-{task.stage.makes.kind}-{task.variant}-{task.item}-"
+    folder.mkdir(exist_ok=True)
+    with FileLock(folder / f"{prefix}.lock"):
+        scratch = folder / f"{prefix}{key[:32]}"
+        scratch.mkdir(exist_ok=True)
+        manifest = fill(scratch)
+        for left in folder.glob(f"{prefix}*"):
+            if left.is_dir():
+                shutil.rmtree(left, ignore_errors=True)
+    return manifest
+
+
+def record(root: Path, target: Path, begun: float, key: str) -> None:
+    """Write who made an artifact, when, where and at what cost; outside it, so that its digest does not depend on the machine."""
+    relative = target.relative_to(root)
+    write_json_atomically(
+        root / "provenance" / relative.parent / f"{relative.name}.json",
+        {
+            "key": key,
+            "user": _user(),
+            "host": socket.gethostname(),
+            "time": datetime.now(UTC).isoformat(timespec="seconds"),
+            "seconds": round(time.perf_counter() - begun, 3),
+            "process_peak_bytes": _peak_bytes(),
+            "bask_data": __version__,
+            "python": platform.python_version(),
+            "platform": platform.platform(),
+            "packages": {
+                name: str(getattr(sys.modules[name], "__version__", ""))
+                for name in ("numpy", "open3d", "torch", "zarr", "sklearn", "cv2")
+                if name in sys.modules
+            },
+        },
+    )
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return str(os.getuid())
+
+
+def _peak_bytes() -> int:
+    import resource
+
+    # Linux counts in kibibytes, macOS in bytes.
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
+
+
+def run(
+    tasks: Sequence[Task], *, executor: Executor | None = None, force: bool = False, dry_run: bool = False
+) -> Iterator[Outcome]:
+    """Make what is not up to date, here or on any executor, and yield outcomes as they come."""
+    if dry_run:
+        for task in tasks:
+            state = state_of(task)
+            status: Any = "would make" if state.status in ("missing", "stale") or force else state.status
+            yield Outcome(
+                task.label, task.stage.makes.kind, task.item, task.variant, str(task.target), status, state.why
+            )
+        return
+    if executor is None:
+        for task in tasks:
+            yield make(task, force)
+        return
+    futures = [executor.submit(make, task, force) for task in tasks]
+    label = tasks[0].stage.name if tasks else ""
+    try:
+        for done, future in enumerate(as_completed(futures), start=1):
+            report(label, done, len(futures))
+            yield future.result()
+    except BaseException:
+        for future in futures:
+            future.cancel()
+        raise

@@ -1,0 +1,54 @@
+"""Small real datasets on disk for tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from bask_data.artifact import Artifact, digest_of, new_scratch, publish, seal
+from bask_data.dataset import Dataset, Source
+from bask_data.kinds import Demonstration, Scan
+
+
+def publish_recording(
+    dataset: Dataset,
+    item: str,
+    *,
+    rgb: list[np.ndarray],
+    depth: list[np.ndarray],
+    K: np.ndarray,
+    world_from_cameras: np.ndarray,
+    kind: type[Scan] | type[Demonstration] = Scan,
+    camera: str = "wrist",
+    depth_scale: float = 0.0001,
+) -> Path:
+    """Enter frames as a scan or demonstration with one camera; `depth` in metres."""
+    raw = [np.round(image / depth_scale).astype(np.uint16) for image in depth]
+
+    def fill(out: Path) -> None:
+        group = kind.start(out, "test", {})
+        kind.write_camera(
+            group,
+            camera,
+            K=K,
+            world_from_cameras=world_from_cameras,
+            time=np.arange(len(raw)) / 30.0,
+            depth_scale=depth_scale,
+            size=raw[0].shape,
+            read=lambda i: (rgb[i], raw[i]),
+        )
+
+    dataset.add(kind.scope, item, Source(format="test", path="none"))
+    return publish_artifact(dataset, kind, item, fill)
+
+
+def publish_artifact(dataset: Dataset, kind: type[Artifact], item: str, fill, variant: str = "main") -> Path:
+    """Publish what `fill(out)` writes as an artifact of the dataset, as if a stage had made it."""
+    dataset.prepare(kind, variant)
+    scratch = new_scratch(dataset.root, kind.kind)
+    fill(scratch)
+    target = dataset.path(kind, item, variant)
+    seal(scratch, artifact=kind, stage="test", stage_version=1, params={}, inputs={}, key=digest_of([kind.kind, item]))
+    publish(scratch, target)
+    return target
