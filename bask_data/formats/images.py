@@ -104,7 +104,7 @@ def check_depth(path: Path, header: ImageHeader) -> None:
             "depth",
             expected="one channel of 16 bits",
             got=f"{header.channels} of {header.bits}",
-            fix="export raw 16-bit depth: 8-bit or coloured depth is for looking at only. Is it the colour? Check --depth.",
+            fix="export raw 16-bit depth: 8 bits or colours are for looking at only. Or check --depth.",
         )
 
 

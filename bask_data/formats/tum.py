@@ -1,0 +1,121 @@
+"""Sequences in the layout of the TUM RGB-D benchmark: text lists of timestamped files, joined by time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from bask_data.errors import BadData
+from bask_data.formats.camera import ImageFiles, camera_recording, parse_intrinsics, parse_pose
+from bask_data.formats.files import member, numbers, read_lines, source_folder
+from bask_data.formats.options import TumOptions
+from bask_data.formats.recording import Recording
+
+INTRINSICS = {
+    "freiburg1": "517.3,516.5,318.6,255.3",
+    "freiburg2": "520.9,521.0,325.1,249.7",
+    "freiburg3": "535.4,539.2,320.1,247.6",
+}
+"""The benchmark's published calibration of the colour camera of each of its three rigs."""
+
+
+def read(source: Path, options: TumOptions) -> Recording:
+    """The frames of `source` whose colour, depth and pose lie close enough in time."""
+    source_folder(source)
+    color_time, color_files = _file_list(source, "rgb.txt")
+    depth_time, depth_files = _file_list(source, "depth.txt")
+    pose_time, poses = _pose_list(source, "groundtruth.txt")
+    depth_of = mutual_nearest(color_time, depth_time, options.max_time_difference)
+    pose_of = nearest(color_time, pose_time, options.max_time_difference)
+    used = np.flatnonzero((depth_of >= 0) & (pose_of >= 0))
+    if used.size == 0:
+        raise BadData(
+            source,
+            "timestamps",
+            expected=f"colour, depth and pose within {options.max_time_difference:g} s",
+            got=f"none of {len(color_time)} colour images",
+            fix="pass a larger --max-time-difference, in seconds, or check that the clocks agree.",
+        )
+    world_from_cameras = np.stack(
+        [parse_pose(f"{source / 'groundtruth.txt'}: time {pose_time[k]:.6f}", poses[k]) for k in pose_of[used]]
+    )
+    K, intrinsics_files = parse_intrinsics(source, INTRINSICS.get(options.intrinsics, options.intrinsics))
+    color = tuple(member(source, color_files[i], "rgb.txt") for i in used)
+    depth = tuple(member(source, depth_files[i], "depth.txt") for i in depth_of[used])
+    camera = camera_recording(
+        options.camera,
+        ImageFiles(color, depth),
+        K,
+        options.intrinsics_size,
+        options.depth_scale,
+        world_from_cameras,
+        color_time[used],
+    )
+    return Recording(
+        cameras=(camera,),
+        robot=None,
+        label_names={},
+        assumptions=_assumptions(options, len(color_time), used.size),
+        files=(
+            *(source / name for name in ("rgb.txt", "depth.txt", "groundtruth.txt")),
+            *intrinsics_files,
+            *color,
+            *depth,
+        ),
+    )
+
+
+def nearest(time: Float[ndarray, " n"], other: Float[ndarray, " m"], limit: float) -> Int[ndarray, " n"]:
+    """The index of the nearest of the other times, which ascend; -1 where it is more than `limit` seconds off."""
+    after = np.clip(np.searchsorted(other, time), 0, len(other) - 1)
+    before = np.maximum(after - 1, 0)
+    index = np.where(np.abs(other[before] - time) <= np.abs(other[after] - time), before, after)
+    return np.where(np.abs(other[index] - time) <= limit, index, -1)
+
+
+def mutual_nearest(time: Float[ndarray, " n"], other: Float[ndarray, " m"], limit: float) -> Int[ndarray, " n"]:
+    """As `nearest`, but each of the others goes to the one time it is nearest to: no depth image is used twice."""
+    forth, back = nearest(time, other, limit), nearest(other, time, limit)
+    return np.where((forth >= 0) & (back[forth] == np.arange(len(time))), forth, -1)
+
+
+def _assumptions(options: TumOptions, n_color: int, n_used: int) -> dict[str, str]:
+    limit = f"{options.max_time_difference:g} s"
+    return {
+        "frames": f"{n_used} of {n_color} colour images have depth and pose within {limit}; the others are left out",
+        "pose": "groundtruth.txt holds world_from_camera of the colour camera, metres, OpenCV axes, quaternion x y z w; "
+        "the nearest in time, not interpolated",
+        "depth": f"z-depth registered to colour, {options.depth_scale:g} m per unit, 0 = no measurement",
+        "intrinsics": f"{options.intrinsics}, for colour and depth alike, no lens distortion",
+        "time": "timestamps of rgb.txt, seconds",
+    }
+
+
+def _file_list(source: Path, name: str) -> tuple[Float[ndarray, " n"], list[str]]:
+    path = member(source, name, name)
+    words = [line.split(maxsplit=1) for line in read_lines(path)]
+    if not words or any(len(line) != 2 for line in words):
+        raise BadData(path, "lines", expected="`timestamp file` in each", got=f"{len(words)} lines, not all so")
+    time = np.array([numbers(path, stamp)[0] for stamp, _ in words], dtype=np.float64)
+    _check_ascending(path, time)
+    return time, [file for _, file in words]
+
+
+def _pose_list(source: Path, name: str) -> tuple[Float[ndarray, " n"], list[list[float]]]:
+    path = member(source, name, name)
+    rows = [numbers(path, line) for line in read_lines(path)]
+    if not rows or any(len(row) != 8 for row in rows):
+        raise BadData(
+            path, "lines", expected="`timestamp tx ty tz qx qy qz qw` in each", got=f"{len(rows)} lines, not all so"
+        )
+    time = np.array([row[0] for row in rows])
+    _check_ascending(path, time)
+    return time, [row[1:] for row in rows]
+
+
+def _check_ascending(path: Path, time: Float[ndarray, " n"]) -> None:
+    if not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
+        raise BadData(path, "timestamps", expected="finite times that grow from line to line", got="others")
