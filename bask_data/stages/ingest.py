@@ -1,0 +1,190 @@
+"""Ingest: somebody else's recording becomes a scan or a demonstration, and its labels, where it has any, truth."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from bask_data.artifact import Artifact, digest_of, file_digest, new_scratch, publish, read_manifest, seal
+from bask_data.dataset import DATASET, Dataset, Source, check_name
+from bask_data.errors import BadData, UsageError, WouldOverwrite
+from bask_data.formats import Format
+from bask_data.kinds import Demonstration, Recording, Robot, Scan, Truth
+from bask_data.params import Params
+from bask_data.stage import Outcome, progress, record
+
+if TYPE_CHECKING:
+    from bask_data.formats import recording
+
+INGEST_VERSION = 1
+"""Raise it when the same source gives another result."""
+
+
+def ingest(
+    root: Path,
+    item: str,
+    *,
+    format: Format,
+    source: Path,
+    options: Params,
+    kind: Literal["scan", "demonstration"] = "scan",
+    force: bool = False,
+) -> tuple[list[Outcome], dict[str, str]]:
+    """Read a recording into the dataset at `root`, which is made if there is none.
+
+    Everything is checked and written aside first: a refusal leaves the dataset as it was.
+
+    Returns:
+        What was made, and in words what was assumed about the source.
+
+    Raises:
+        WouldOverwrite: the item exists with other content and `force` is not set.
+        BadData: the source does not hold what the options say.
+    """
+    makes = Scan if kind == "scan" else Demonstration
+    check_name(item, root / DATASET)
+    if (root / DATASET).exists():
+        _refuse_other_scope(Dataset(root), makes, item)
+    read = format.read(source, options)
+    key = _key(makes, format, options, source, read)
+    target = root / makes.kind / item
+    if target.exists() and not force:
+        if read_manifest(target).key == key:
+            digest = read_manifest(target).digest
+            return [Outcome(f"ingest {item}", makes.kind, item, "main", str(target), "up to date", digest=digest)], {}
+        raise WouldOverwrite(
+            target, "", expected="no recording of that name", got="one from another source or with other options", fix="choose another --scene, or pass --force."
+        )
+    is_new = not root.exists()
+    try:
+        return _write(root, item, format, source, options, makes, read, key), read.assumptions
+    except BaseException:
+        if is_new:
+            shutil.rmtree(root, ignore_errors=True)
+        raise
+
+
+def _write(
+    root: Path,
+    item: str,
+    format: Format,
+    source: Path,
+    options: Params,
+    makes: type[Scan] | type[Demonstration],
+    read: recording.Recording,
+    key: str,
+) -> list[Outcome]:
+    dataset = Dataset.open_or_create(root)
+    outcomes = []
+    fills: list[tuple[type[Artifact], Callable[[Path], None]]] = [
+        (makes, lambda out: _write_recording(out, makes, format, read))
+    ]
+    if any(camera.labels for camera in read.cameras):
+        fills.insert(0, (Truth, lambda out: _write_truth(out, read)))
+    for artifact, fill in fills:
+        begun = time.perf_counter()
+        dataset.prepare(artifact)
+        target = dataset.path(artifact, item)
+        scratch = new_scratch(root, artifact.kind)
+        try:
+            fill(scratch)
+            manifest = seal(
+                scratch,
+                artifact=artifact,
+                stage=f"ingest {format.name}",
+                stage_version=INGEST_VERSION,
+                params=options.model_dump(mode="json"),
+                inputs={"source": _source_digest(source, read)},
+                key=key,
+            )
+            publish(scratch, target)
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+        record(root, target, begun, key)
+        seconds = time.perf_counter() - begun
+        outcomes.append(
+            Outcome(f"ingest {item}", artifact.kind, item, "main", str(target), "made", "", seconds, manifest.digest)
+        )
+    path = os.path.relpath(source.resolve(), root.resolve())
+    given = options.model_dump(mode="json", exclude_defaults=True)
+    dataset.add(makes.scope, item, Source(format=format.name, path=path, options=given))
+    return outcomes[::-1]
+
+
+def _refuse_other_scope(dataset: Dataset, makes: type[Recording], item: str) -> None:
+    other = "demonstration" if makes is Scan else "scene"
+    if item in dataset.items(other):
+        raise UsageError(
+            dataset.root / DATASET, item, expected="a new name", got=f"the name of a {other}", fix="choose another --scene."
+        )
+
+
+def _source_digest(source: Path, read: recording.Recording) -> str:
+    return digest_of({os.path.relpath(file, source): file_digest(file) for file in read.files})
+
+
+def _key(makes: type[Recording], format: Format, options: Params, source: Path, read: recording.Recording) -> str:
+    return digest_of(
+        {
+            "kind": makes.kind,
+            "schema": makes.schema_version,
+            "stage": f"ingest {format.name}",
+            "version": INGEST_VERSION,
+            "params": options.model_dump(mode="json"),
+            "source": _source_digest(source, read),
+        }
+    )
+
+
+def _write_recording(
+    out: Path, makes: type[Scan] | type[Demonstration], format: Format, read: recording.Recording
+) -> None:
+    arguments: dict[str, Any] = {}
+    if makes is Demonstration and read.robot is not None:
+        arguments["action_names"] = tuple(read.robot.action_names or ())
+    group = makes.start(out, format.name, read.assumptions, **arguments)
+    for camera in read.cameras:
+        makes.write_camera(
+            group,
+            camera.name,
+            K=camera.K,
+            world_from_cameras=camera.world_from_cameras,
+            time=camera.time,
+            depth_scale=camera.depth_scale,
+            size=(camera.height, camera.width),
+            read=_checked(camera),
+            frames=lambda frames, name=camera.name: progress(frames, f"reading {name}"),  # type: ignore[misc]
+        )
+    if makes is Demonstration and read.robot is not None:
+        robot = read.robot
+        Demonstration.write_robot(out, group, Robot(robot.world_from_gripper, robot.gripper_width, robot.action))
+
+
+def _checked(camera: recording.CameraRecording) -> Callable[[int], tuple[Any, Any]]:
+    """The camera's reader, counting valid depth: a recording without any is refused at its last frame."""
+    n_valid = 0
+
+    def read(i_frame: int) -> tuple[Any, Any]:
+        nonlocal n_valid
+        rgb, depth = camera.read(i_frame)
+        n_valid += int((depth > 0).sum())
+        if i_frame == camera.n_frames - 1 and n_valid == 0:
+            raise BadData(
+                camera.name, "depth", expected="a measurement in some frame", got="none in any", fix="check --depth and --invalid-depth."
+            )
+        return rgb, depth
+
+    return read
+
+
+def _write_truth(out: Path, read: recording.Recording) -> None:
+    cameras = {
+        camera.name: (camera.n_frames, (camera.height, camera.width), camera.labels)
+        for camera in read.cameras
+        if camera.labels is not None
+    }
+    Truth.write(out, read.label_names, cameras)
