@@ -1,0 +1,196 @@
+"""The discrete Bayes filter: for each camera, a belief over its pixels and one more state, *outside of the image*.
+
+The belief is carried from the previous pixel space into the present one through depth and camera motion, spread by a
+random walk, and multiplied by the correspondence likelihood. Every step is linear in the belief and keeps its mass:
+what leaves the image is outside, and comes back where the camera uncovers something it did not see before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+from numpy.random import Generator
+from scipy.sparse import csr_array
+
+from bask_data.core.geometry import in_image, invert_rigid, pixel_grid, project, scale_intrinsics, transform, unproject
+from bask_data.core.heatmap import Estimate, Motion, Observation, fill_depth, fuse, keep_last, lift, shrink_depth
+
+FAR = 1e6
+"""Depth, metres, put in for an image that has none at all: the camera's rotation still carries its pixels."""
+
+
+@dataclass(frozen=True)
+class DiscreteSettings:
+    """Settings of the discrete filter. Paper's: `outside_likelihood` and `restart` zero."""
+
+    alpha: float = 4.0
+    """Temperature: a pixel at distance z has likelihood exp(-alpha z)."""
+    walk_px: float = 1.0
+    """Standard deviation of the random walk in one frame, pixels of the distance map."""
+    cell: int = 1
+    """Edge of a cell of the belief, pixels of the distance map."""
+    outside_likelihood: float = 0.1
+    """Likelihood of any observation if the keypoint is outside of the image; as `tau` of the particle filter."""
+    outside_area: float = 1.0
+    """Size of the world around the image that a keypoint may hide in, in images: the larger, the less comes back as the
+    view moves on."""
+    restart: float = 1e-3
+    """Share of the belief that starts anew, anywhere in the image, in each frame: a wrong belief can be left again."""
+
+
+@dataclass(frozen=True)
+class CameraBelief:
+    """Belief in one camera's pixel space, and the view it belongs to. `inside` and `outside` sum to one."""
+
+    inside: Float[ndarray, "k h w"]
+    outside: Float[ndarray, "k"]
+    depth: Float[ndarray, "h w"]
+    K: Float[ndarray, "3 3"]
+    world_from_camera: Float[ndarray, "4 4"]
+
+
+@dataclass(frozen=True)
+class DiscreteBelief:
+    """One belief per camera, and the last estimate, which holds while a keypoint is outside of all cameras."""
+
+    cameras: tuple[CameraBelief, ...]
+    estimate: Estimate
+
+
+def discrete_step(
+    belief: DiscreteBelief | None,
+    observations: Sequence[Observation],
+    motion: Motion | None = None,
+    rng: Generator | None = None,
+    settings: DiscreteSettings = DiscreteSettings(),
+) -> tuple[DiscreteBelief, Estimate]:
+    """Belief and estimate after one more frame. Without a belief, the prior is uniform over the pixels.
+
+    Cameras are filtered one by one and their estimates fused. A keypoint more likely outside of an image than inside is
+    not estimated from that camera; outside of all of them, it keeps its last estimate. `motion` and `rng` are unused.
+
+    Source: von Hartz et al. 2023, Sec. III-B.
+    """
+    cameras, lifted = [], []
+    for i, seen in enumerate(observations):
+        grid, likelihood = _on_grid(seen, settings)
+        prior = _uniform(grid, likelihood.shape) if belief is None else predict(belief.cameras[i], grid, settings)
+        posterior, log_evidence = update(prior, likelihood, settings.outside_likelihood)
+        cameras.append(posterior)
+        inside = posterior.inside.sum(axis=(1, 2))
+        share = np.where(inside > 0, inside, 1.0)[:, None, None]
+        one = lift(np.where(inside[:, None, None] > 0, posterior.inside, 1.0) / share, grid, log_evidence)
+        pixel = _pixels_of_image(one.pixel, likelihood.shape[1:], seen.depth.shape)
+        gone = (posterior.outside > 0.5)[:, None]
+        lifted.append(
+            replace(one, mean=np.where(gone, np.nan, one.mean), mode=np.where(gone, np.nan, one.mode), pixel=pixel)
+        )
+    estimate = keep_last(fuse(lifted), belief.estimate if belief else None, observations)
+    return DiscreteBelief(tuple(cameras), estimate), estimate
+
+
+def predict(belief: CameraBelief, seen: Observation, settings: DiscreteSettings) -> CameraBelief:
+    """The belief before `seen` is looked at: carried into its pixel space, and spread.
+
+    Source: von Hartz et al. 2023, Sec. III-B.3.
+    """
+    k, height, width = belief.inside.shape
+    if np.array_equal(belief.world_from_camera, seen.world_from_camera) and np.array_equal(belief.K, seen.K):
+        inside, outside = belief.inside, belief.outside
+    else:
+        inside = (carry(belief, seen) @ belief.inside.reshape(k, -1).T).T.reshape(k, height, width)
+        outside = belief.outside + np.maximum(belief.inside.sum(axis=(1, 2)) - inside.sum(axis=(1, 2)), 0.0)
+        uncovered = _uncovered(belief, seen)
+        back = uncovered.sum() / (uncovered.sum() + settings.outside_area * height * width)
+        inside = inside + (outside * back / max(uncovered.sum(), 1))[:, None, None] * uncovered
+        outside = outside * (1 - back)
+    if settings.walk_px > 0:
+        before = inside.sum(axis=(1, 2))
+        sigma = settings.walk_px / settings.cell
+        inside = np.stack([cv2.GaussianBlur(one, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT) for one in inside])
+        outside = outside + np.maximum(before - inside.sum(axis=(1, 2)), 0.0)
+    inside = (1 - settings.restart) * inside + settings.restart / (height * width)
+    outside = (1 - settings.restart) * outside
+    return CameraBelief(inside, outside, seen.depth, seen.K, seen.world_from_camera)
+
+
+def carry(belief: CameraBelief, seen: Observation) -> csr_array:
+    """The matrix (cells now, cells before) that moves mass with the camera; columns of cells that leave sum to less
+    than one.
+
+    A cell's mass goes to the four cells around the place its centre moves to, so that slow motions, too, add up over
+    frames. A cell without depth borrows that of the nearest cell that has some.
+    """
+    height, width = belief.depth.shape
+    depth = np.nan_to_num(fill_depth(belief.depth), nan=FAR).astype(np.float64)
+    now_from_before = invert_rigid(seen.world_from_camera) @ belief.world_from_camera
+    points = transform(now_from_before, unproject(pixel_grid(height, width), depth, belief.K)).reshape(-1, 3)
+    uv = np.round(project(points, seen.K)[0], 9)  # so that a camera that moves by whole pixels does not blur
+    uv = np.clip(np.nan_to_num(uv, nan=-9.0), -9.0, max(height, width) + 9.0)
+    corner = np.floor(uv).astype(int)
+    part = uv - corner
+    rows, columns, values = [], [], []
+    for du, dv in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        u, v = corner[:, 0] + du, corner[:, 1] + dv
+        weight = (part[:, 0] if du else 1 - part[:, 0]) * (part[:, 1] if dv else 1 - part[:, 1])
+        (kept,) = np.nonzero((u >= 0) & (u < width) & (v >= 0) & (v < height) & (weight > 0))
+        rows.append(v[kept] * width + u[kept])
+        columns.append(kept)
+        values.append(weight[kept])
+    n_cells = height * width
+    indices = (np.concatenate(rows), np.concatenate(columns))
+    return csr_array((np.concatenate(values), indices), shape=(n_cells, n_cells))
+
+
+def _uncovered(belief: CameraBelief, seen: Observation) -> Bool[ndarray, "h w"]:
+    """Cells that show what the view before did not reach."""
+    height, width = seen.depth.shape
+    depth = np.nan_to_num(fill_depth(seen.depth), nan=FAR).astype(np.float64)
+    before_from_now = invert_rigid(belief.world_from_camera) @ seen.world_from_camera
+    points = transform(before_from_now, unproject(pixel_grid(height, width), depth, seen.K))
+    return ~in_image(np.round(project(points, belief.K)[0], 9), height, width)
+
+
+def update(
+    prior: CameraBelief, likelihood: Float[ndarray, "k h w"], outside_likelihood: float
+) -> tuple[CameraBelief, Float[ndarray, "k"]]:
+    """Belief after a measurement, and the log of that measurement's likelihood.
+
+    The likelihood exp(-alpha z) is not normalised over the image as in the paper, where it cannot matter: here it is
+    weighed against the state outside.
+
+    Source: von Hartz et al. 2023, Sec. III-B.4.
+    """
+    inside, outside = prior.inside * likelihood, prior.outside * outside_likelihood
+    evidence = np.maximum(inside.sum(axis=(1, 2)) + outside, np.finfo(np.float64).tiny)
+    return replace(prior, inside=inside / evidence[:, None, None], outside=outside / evidence), np.log(evidence)
+
+
+def _uniform(seen: Observation, shape: tuple[int, ...]) -> CameraBelief:
+    k, height, width = shape
+    uniform = np.full((k, height, width), 1.0 / (height * width))
+    return CameraBelief(uniform, np.zeros(k), seen.depth, seen.K, seen.world_from_camera)
+
+
+def _on_grid(seen: Observation, settings: DiscreteSettings) -> tuple[Observation, Float[ndarray, "k h w"]]:
+    """Depth and intrinsics at the resolution of the belief, and the mean likelihood exp(-alpha z) of each cell."""
+    likelihood = np.exp(-settings.alpha * seen.distance, dtype=np.float64)
+    if settings.cell > 1:
+        height, width = (-(-n // settings.cell) for n in seen.distance.shape[1:])
+        likelihood = np.stack([cv2.resize(one, (width, height), interpolation=cv2.INTER_AREA) for one in likelihood])
+    size, grid = seen.depth.shape, likelihood.shape[1:]
+    if size != grid:
+        seen = replace(seen, depth=shrink_depth(seen.depth, grid), K=scale_intrinsics(seen.K, size, grid))
+    return seen, likelihood
+
+
+def _pixels_of_image(
+    cells: Float[ndarray, "k 2"], grid: tuple[int, ...], image: tuple[int, ...]
+) -> Float[ndarray, "k 2"]:
+    factor = np.array([image[1] / grid[1], image[0] / grid[0]])
+    return (cells + 0.5) * factor - 0.5

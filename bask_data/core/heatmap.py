@@ -1,0 +1,298 @@
+"""What a camera says of every keypoint in one frame, and the estimate that needs only that, its heat map's expectation.
+
+A heat map is a probability over the pixels of a camera, one per keypoint. Lifting takes it to 3D through the measured
+depth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+from numpy.random import Generator
+
+from bask_data.core.geometry import pixel_grid, project, scale_intrinsics, transform, unproject
+
+LIFT_RADIUS = 3
+"""Half the window, in pixels, within which a lifted pixel looks for its depth."""
+
+POSITION_VARIANCE = 1e-6
+"""Square metres added to each camera's covariance before cameras are fused: no camera knows a point better than to a
+millimetre."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What one camera sees of k keypoints in one frame.
+
+    `distance` may be coarser than `depth`; both span the same image, edge to edge. `K` belongs to `depth`.
+    """
+
+    distance: Float[ndarray, "k hz wz"]
+    """Descriptor distance of each pixel to each keypoint's reference."""
+    depth: Float[ndarray, "h w"]
+    """z-depth, metres; 0 = no measurement."""
+    K: Float[ndarray, "3 3"]
+    world_from_camera: Float[ndarray, "4 4"]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What is known of the time between two frames: how the gripper moved."""
+
+    world_from_gripper_before: Float[ndarray, "4 4"]
+    world_from_gripper: Float[ndarray, "4 4"]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Where k keypoints are, given all frames so far. NaN where nothing has been seen that could be lifted to 3D."""
+
+    mean: Float[ndarray, "k 3"]
+    """Metres, world frame."""
+    covariance: Float[ndarray, "k 3 3"]
+    mode: Float[ndarray, "k 3"]
+    n_eff: Float[ndarray, "k"]
+    """Effective number of hypotheses: 1 / sum of squared weights."""
+    log_evidence: Float[ndarray, "k"]
+    """Log of the likelihood of this frame given the ones before it."""
+    pixel: Float[ndarray, "c k 2"]
+    """(u, v) in each camera, of `depth`'s image; may lie outside of it. NaN behind the camera."""
+    observed: Bool[ndarray, "c k"]
+    """Whether the camera more likely than not sees the keypoint."""
+
+
+@dataclass(frozen=True)
+class ExpectationSettings:
+    """Settings of the estimate from single frames."""
+
+    alpha: float = 4.0
+    """Temperature: a pixel at distance z has weight exp(-alpha z)."""
+
+
+def expectation_step(
+    belief: Estimate | None,
+    observations: Sequence[Observation],
+    motion: Motion | None = None,
+    rng: Generator | None = None,
+    settings: ExpectationSettings = ExpectationSettings(),
+) -> tuple[Estimate, Estimate]:
+    """The expectation of each heat map, lifted to 3D and fused over the cameras.
+
+    Frames are taken one by one; the last estimate matters only where no camera has depth, and is kept there. `motion`
+    and `rng` are
+    unused: they are here so that every filter is called alike.
+
+    Source: von Hartz et al. 2023, Sec. III-A.3.
+    """
+    lifted = []
+    for seen in observations:
+        z = _fitted(seen)
+        heat, log_evidence = softmax_map(z.distance, settings.alpha)
+        lifted.append(lift(heat, z, log_evidence))
+    estimate = keep_last(fuse(lifted), belief, observations)
+    return estimate, estimate
+
+
+def softmax_map(distance: Float[ndarray, "k h w"], alpha: float) -> tuple[Float[ndarray, "k h w"], Float[ndarray, "k"]]:
+    """The heat map softmax(-alpha z) over all pixels, and the log of the mean of exp(-alpha z).
+
+    Source: von Hartz et al. 2023, Sec. III-A.3.
+    """
+    nearest = distance.min(axis=(1, 2))
+    heat = np.exp(-alpha * (distance - nearest[:, None, None]), dtype=np.float64)
+    total = heat.sum(axis=(1, 2))
+    heat /= total[:, None, None]
+    return heat, np.log(total / distance[0].size) - alpha * nearest.astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """Heat maps of one camera in 3D; `n_eff` in pixels. NaN where no pixel has depth."""
+
+    mean: Float[ndarray, "k 3"]
+    covariance: Float[ndarray, "k 3 3"]
+    mode: Float[ndarray, "k 3"]
+    pixel: Float[ndarray, "k 2"]
+    peak: Float[ndarray, "k"]
+    n_eff: Float[ndarray, "k"]
+    log_evidence: Float[ndarray, "k"]
+
+
+def lift(
+    heat: Float[ndarray, "k h w"], seen: Observation, log_evidence: Float[ndarray, "k"], radius: int = LIFT_RADIUS
+) -> Lifted:
+    """Mean, mode and covariance of heat maps in the world frame.
+
+    The mean pixel is lifted, not the mean of the lifted pixels: the latter floats between foreground and background.
+    Its depth is the median, weighted by the heat map, of the measured depths around it, so it is always a depth that
+    was measured, and at an edge it is that of the side the heat is on.
+
+    Args:
+        heat: each sums to one; of the same size as `seen.depth`.
+        radius: half the window around a pixel in which depths are looked for; without any, the nearest measurement
+            counts.
+    """
+    k, height, width = heat.shape
+    u, v = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
+    pixel = np.stack([heat.sum(axis=1) @ u, heat.sum(axis=2) @ v], axis=-1)
+    peak_index = heat.reshape(k, -1).argmax(axis=1)
+    peak_pixel = np.stack([peak_index % width, peak_index // width], axis=-1).astype(np.float64)
+    filled = fill_depth(seen.depth)
+    depths = np.array([_depth_at(heat[i], seen.depth, filled, pixel[i], radius) for i in range(k)])
+    peak_depths = np.array([_depth_at(heat[i], seen.depth, filled, peak_pixel[i], radius) for i in range(k)])
+    return Lifted(
+        mean=transform(seen.world_from_camera, unproject(pixel, depths, seen.K)),
+        covariance=_lifted_covariance(heat, seen),
+        mode=transform(seen.world_from_camera, unproject(peak_pixel, peak_depths, seen.K)),
+        pixel=pixel,
+        peak=heat.reshape(k, -1).max(axis=1),
+        n_eff=1.0 / np.einsum("khw,khw->k", heat, heat),
+        log_evidence=log_evidence,
+    )
+
+
+def _depth_at(
+    heat: Float[ndarray, "h w"],
+    depth: Float[ndarray, "h w"],
+    filled: Float[ndarray, "h w"],
+    pixel: Float[ndarray, "2"],
+    radius: int,
+) -> float:
+    """The heat's median depth around a pixel; NaN in an image without depth."""
+    u, v = np.rint(pixel).astype(int)
+    window = np.s_[max(v - radius, 0) : v + radius + 1, max(u - radius, 0) : u + radius + 1]
+    near, weight = depth[window].ravel(), heat[window].ravel()
+    measured = near > 0
+    near, weight = near[measured], weight[measured]
+    if weight.sum() <= 0:
+        return float(filled[v, u])
+    order = np.argsort(near, kind="stable")
+    total = np.cumsum(weight[order])
+    return float(near[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+def _lifted_covariance(heat: Float[ndarray, "k h w"], seen: Observation) -> Float[ndarray, "k 3 3"]:
+    """Spread of the heat over the measured surface, world frame; NaN where it has no weight on any measurement."""
+    height, width = seen.depth.shape
+    points = unproject(pixel_grid(height, width), seen.depth.astype(np.float64), seen.K).reshape(-1, 3)
+    measured = (seen.depth > 0).ravel()
+    if not measured.any():
+        return np.full((len(heat), 3, 3), np.nan)
+    points = (points - points[measured].mean(axis=0)) * measured[:, None]
+    rows, columns = np.triu_indices(3)
+    moments = heat.reshape(len(heat), -1) @ np.concatenate(
+        [measured[:, None], points, points[:, rows] * points[:, columns]], axis=1
+    )
+    with np.errstate(invalid="ignore"):
+        moments = moments[:, 1:] / moments[:, :1]
+    second = np.empty((len(heat), 3, 3))
+    second[:, rows, columns] = second[:, columns, rows] = moments[:, 3:]
+    covariance = second - moments[:, :3, None] * moments[:, None, :3]
+    rotation = seen.world_from_camera[:3, :3]
+    return rotation @ covariance @ rotation.T
+
+
+def fuse(lifted: Sequence[Lifted]) -> Estimate:
+    """One estimate of several cameras: means weighted by inverse covariance, the mode of the sharpest heat map."""
+    k = len(lifted[0].mean)
+    information, weighted = np.zeros((k, 3, 3)), np.zeros((k, 3))
+    for one in lifted:
+        known = np.isfinite(one.mean).all(axis=1) & np.isfinite(one.covariance).all(axis=(1, 2))
+        inverse = np.linalg.inv(one.covariance[known] + POSITION_VARIANCE * np.eye(3))
+        information[known] += inverse
+        weighted[known] += np.einsum("kij,kj->ki", inverse, one.mean[known])
+    mean, covariance = np.full((k, 3), np.nan), np.full((k, 3, 3), np.nan)
+    any_known = np.trace(information, axis1=1, axis2=2) > 0
+    covariance[any_known] = np.linalg.inv(information[any_known])
+    mean[any_known] = np.einsum("kij,kj->ki", covariance[any_known], weighted[any_known])
+    sharpest = np.argmax([np.where(np.isfinite(one.mode[:, 0]), one.peak, -1.0) for one in lifted], axis=0)
+    return Estimate(
+        mean=mean,
+        covariance=covariance,
+        mode=np.stack([one.mode for one in lifted])[sharpest, np.arange(k)],
+        n_eff=np.mean([one.n_eff for one in lifted], axis=0),
+        log_evidence=np.sum([one.log_evidence for one in lifted], axis=0),
+        pixel=np.stack([one.pixel for one in lifted]),
+        observed=np.stack([np.isfinite(one.mean).all(axis=1) for one in lifted]),
+    )
+
+
+def keep_last(now: Estimate, last: Estimate | None, observations: Sequence[Observation]) -> Estimate:
+    """`now`, with the last estimate where no camera could be lifted; its pixels are then those of the kept point."""
+    lost = np.isnan(now.mean).any(axis=1)
+    if last is None or not lost.any():
+        return now
+    mean = np.where(lost[:, None], last.mean, now.mean)
+    pixel = np.stack([pixels_of(mean, seen) for seen in observations])
+    return Estimate(
+        mean=mean,
+        covariance=np.where(lost[:, None, None], last.covariance, now.covariance),
+        mode=np.where(lost[:, None], last.mode, now.mode),
+        n_eff=now.n_eff,
+        log_evidence=now.log_evidence,
+        pixel=np.where(lost[None, :, None], pixel, now.pixel),
+        observed=now.observed,
+    )
+
+
+def pixels_of(points_world: Float[ndarray, "*n 3"], seen: Observation) -> Float[ndarray, "*n 2"]:
+    """Where world points lie in the camera's image; NaN behind the camera."""
+    rotation, position = seen.world_from_camera[:3, :3], seen.world_from_camera[:3, 3]
+    return project((points_world - position) @ rotation, seen.K)[0]
+
+
+def fill_depth(depth: Float[ndarray, "h w"]) -> Float[ndarray, "h w"]:
+    """Depth with each missing value taken from the nearest measured pixel; NaN everywhere if there is none."""
+    missing = depth <= 0
+    if not missing.any():
+        return depth.copy()
+    if missing.all():
+        return np.full_like(depth, np.nan)
+    _, label = cv2.distanceTransformWithLabels(
+        missing.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    depth_of_label = np.zeros(label.max() + 1, dtype=depth.dtype)
+    depth_of_label[label[~missing]] = depth[~missing]
+    return depth_of_label[label]
+
+
+def shrink_depth(depth: Float[ndarray, "h w"], size: tuple[int, int]) -> Float[ndarray, "h2 w2"]:
+    """Depth at another resolution: measured at the new pixel's centre, or else the nearest surface within the pixel.
+
+    Depths are never averaged: between a foreground and a background there is nothing.
+
+    Args:
+        size: (height, width). May also be larger, the pixels then repeat.
+    """
+    height, width = depth.shape
+    if size == (height, width):
+        return depth
+    v = np.minimum(((np.arange(size[0]) + 0.5) * height / size[0]).astype(int), height - 1)
+    u = np.minimum(((np.arange(size[1]) + 0.5) * width / size[1]).astype(int), width - 1)
+    shrunk = depth[np.ix_(v, u)]
+    missing = shrunk <= 0
+    if missing.any() and (size[0] < height or size[1] < width):
+        far = np.where(depth > 0, depth, np.inf)
+        v_edge = np.minimum((np.arange(size[0]) * height / size[0]).astype(int), height - 1)
+        u_edge = np.minimum((np.arange(size[1]) * width / size[1]).astype(int), width - 1)
+        nearest = np.minimum.reduceat(np.minimum.reduceat(far, v_edge, axis=0), u_edge, axis=1)
+        shrunk = np.where(missing, np.where(np.isfinite(nearest), nearest, 0), shrunk).astype(depth.dtype)
+    return shrunk
+
+
+def _fitted(seen: Observation) -> Observation:
+    """The same observation with depth and intrinsics at the resolution of the distance maps."""
+    size, map_size = seen.depth.shape, seen.distance.shape[1:]
+    if size == map_size:
+        return seen
+    return Observation(
+        distance=seen.distance,
+        depth=shrink_depth(seen.depth, map_size),
+        K=scale_intrinsics(seen.K, size, map_size),
+        world_from_camera=seen.world_from_camera,
+    )
