@@ -150,7 +150,9 @@ class Artifact:
         """Names of the cameras, sorted; none for kinds without cameras."""
         names = (folder.name for folder in self.path.iterdir() if (folder / "zarr.json").exists())
         return sorted(
-            name for name in names if read_json(self.path / name / "zarr.json").get("node_type") == "group" and name != "robot"
+            name
+            for name in names
+            if read_json(self.path / name / "zarr.json").get("node_type") == "group" and name != "robot"
         )
 
     def read(self, name: str) -> np.ndarray:
@@ -253,9 +255,7 @@ def seal(
     key: str,
 ) -> Manifest:
     """Write the manifest of a finished scratch directory and force everything to disk."""
-    files = {
-        name: FileEntry(sha256=file_digest(file), bytes=file.stat().st_size) for name, file in list_files(scratch)
-    }
+    files = {name: FileEntry(sha256=file_digest(file), bytes=file.stat().st_size) for name, file in list_files(scratch)}
     manifest = Manifest(
         kind=artifact.kind,
         schema_version=artifact.schema_version,

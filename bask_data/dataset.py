@@ -75,7 +75,11 @@ class Dataset:
         file = self.root / DATASET
         if not file.exists():
             raise BadData(
-                self.root, "", expected=f"a dataset (a directory with {DATASET})", got="none", fix=f"bask-data init {root}"
+                self.root,
+                "",
+                expected=f"a dataset (a directory with {DATASET})",
+                got="none",
+                fix=f"bask-data init {root}",
             )
         try:
             self.file = DatasetFile.model_validate(read_json(file))
@@ -145,7 +149,11 @@ class Dataset:
         other = self.file.demonstrations if scope == "scene" else self.file.scenes
         if item in other:
             raise UsageError(
-                self.root / DATASET, item, expected=f"a {scope}", got="the name of the other sort of recording", fix="choose another name."
+                self.root / DATASET,
+                item,
+                expected=f"a {scope}",
+                got="the name of the other sort of recording",
+                fix="choose another name.",
             )
         self._update(enter)
 
@@ -166,7 +174,10 @@ class Dataset:
         for name in names:
             if name not in self.file.scenes:
                 raise UsageError(
-                    self.root / DATASET, "splits", expected=f"one of {', '.join(self.file.scenes) or 'no scenes'}", got=name
+                    self.root / DATASET,
+                    "splits",
+                    expected=f"one of {', '.join(self.file.scenes) or 'no scenes'}",
+                    got=name,
                 )
         doubled = sorted({name for name in names if names.count(name) > 1})
         if doubled:
@@ -196,5 +207,8 @@ def check_name(name: str, where: Path) -> None:
     """Refuse names that would not be one plain directory; `UsageError`."""
     if not _NAME.fullmatch(name):
         raise UsageError(
-            where, "name", expected="letters, digits, '_' and '-', at most 64, beginning with a letter or digit", got=repr(name)
+            where,
+            "name",
+            expected="letters, digits, '_' and '-', at most 64, beginning with a letter or digit",
+            got=repr(name),
         )

@@ -371,7 +371,9 @@ def make(task: Task, force: bool = False) -> Outcome:
             return replace(outcome, status="up to date", digest=read_manifest(task.target).digest)
         manifest = _make(task, begun)
     except BaskError as error:
-        return replace(outcome, status="failed", why=_with_notes(error), seconds=time.perf_counter() - begun, error=error)
+        return replace(
+            outcome, status="failed", why=_with_notes(error), seconds=time.perf_counter() - begun, error=error
+        )
     return replace(outcome, seconds=time.perf_counter() - begun, digest=manifest.digest, why=state.why)
 
 

@@ -7,14 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bask_data.artifact import MANIFEST, Artifact, content_digest, file_digest, list_files, read_json, read_manifest
-from bask_data.artifact import FileEntry
+from bask_data.artifact import (
+    MANIFEST,
+    Artifact,
+    FileEntry,
+    content_digest,
+    file_digest,
+    list_files,
+    read_json,
+    read_manifest,
+)
 from bask_data.dataset import Dataset
 from bask_data.errors import BaskError
 from bask_data.kinds import KINDS
 from bask_data.kinds.arrays import spec_of
 from bask_data.progress import progress
-
 
 
 @dataclass(frozen=True)
@@ -57,7 +64,9 @@ def _missing_recordings(dataset: Dataset) -> Iterator[Problem]:
     for scope, kind in (("scene", "scan"), ("demonstration", "demonstration")):
         for item in dataset.items(scope):
             if not (dataset.root / kind / item).exists():
-                yield Problem(f"{kind}/{item}", "listed in dataset.json, but missing.", "ingest it again, or `dvc pull`.")
+                yield Problem(
+                    f"{kind}/{item}", "listed in dataset.json, but missing.", "ingest it again, or `dvc pull`."
+                )
 
 
 def _files(artifact: Artifact, root: Path) -> Iterator[Problem]:
@@ -107,7 +116,9 @@ def _schema(artifact: Artifact, root: Path) -> Iterator[Problem]:
             known = sizes.setdefault((camera if dim in "thw" else "", dim), (length, name))
             expected = int(dim) if dim.isdigit() else known[0]
             if length != expected:
-                yield Problem(f"{where}/{name}", f"shape: expected {dim} = {expected} as {known[1]}, got {length}.", fix)
+                yield Problem(
+                    f"{where}/{name}", f"shape: expected {dim} = {expected} as {known[1]}, got {length}.", fix
+                )
         missing = [key for key in spec.attributes if key not in document.get("attributes", {})]
         if missing:
             yield Problem(f"{where}/{name}", f"attributes: expected {', '.join(missing)}.", fix)
@@ -165,7 +176,9 @@ def _unlisted(dataset: Dataset) -> Iterator[Problem]:
                 continue
             for entry in sorted(folder.iterdir()):
                 if entry.is_dir() and entry.name not in dataset.items(kind.scope):
-                    yield Problem(_relative(entry, dataset.root), "not listed in dataset.json.", "remove it, or ingest it.")
+                    yield Problem(
+                        _relative(entry, dataset.root), "not listed in dataset.json.", "remove it, or ingest it."
+                    )
 
 
 def _relative(path: Path, root: Path) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bask_data.artifact import Artifact, ArraySpec, write_group
+from bask_data.artifact import ArraySpec, Artifact, write_group
 from bask_data.errors import BadData
 
 if TYPE_CHECKING:

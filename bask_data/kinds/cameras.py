@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bask_data.artifact import Artifact, ArraySpec, Metadata, write_group
+from bask_data.artifact import ArraySpec, Artifact, Metadata, write_group
 from bask_data.kinds.arrays import FrameWriter, read_frame, start, write_array
 
 if TYPE_CHECKING:
@@ -17,13 +17,19 @@ if TYPE_CHECKING:
 CAMERA_ARRAYS = {
     "{camera}/rgb": ArraySpec(("t", "h", "w", "c"), "uint8", "Colour, channels red, green, blue."),
     "{camera}/depth": ArraySpec(
-        ("t", "h", "w"), "uint16", "z-depth in units of `scale_m` metres; 0 means no measurement.", attributes=("scale_m",)
+        ("t", "h", "w"),
+        "uint16",
+        "z-depth in units of `scale_m` metres; 0 means no measurement.",
+        attributes=("scale_m",),
     ),
     "{camera}/intrinsics": ArraySpec(
         ("3", "3"), "float64", "Pinhole matrix. Pixel (0, 0) is the centre of the top-left pixel.", "pixel"
     ),
     "{camera}/world_from_camera": ArraySpec(
-        ("t", "4", "4"), "float64", "Takes camera coordinates to world coordinates; camera x right, y down, z forward.", "metre"
+        ("t", "4", "4"),
+        "float64",
+        "Takes camera coordinates to world coordinates; camera x right, y down, z forward.",
+        "metre",
     ),
     "{camera}/time": ArraySpec(("t",), "float64", "Time of each frame.", "second"),
 }

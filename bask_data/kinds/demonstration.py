@@ -63,9 +63,7 @@ class Demonstration(Recording):
         return Robot(**found, action_names=tuple(self.metadata.action_names))  # type: ignore[arg-type]
 
     @staticmethod
-    def start(
-        out: Path, format: str, assumptions: dict[str, str], action_names: tuple[str, ...] = ()
-    ) -> zarr.Group:
+    def start(out: Path, format: str, assumptions: dict[str, str], action_names: tuple[str, ...] = ()) -> zarr.Group:
         """Begin writing; cameras follow with `write_camera`, the robot with `write_robot`."""
         return start(
             out, Demonstration, {"format": format, "assumptions": assumptions, "action_names": list(action_names)}

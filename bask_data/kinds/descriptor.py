@@ -42,7 +42,10 @@ class DescriptorNet(Artifact):
             }
         )
     }
-    files = {"weights.safetensors": "parameters by name", "model.json": "backbone, descriptor_dim, input size, normalisation"}
+    files = {
+        "weights.safetensors": "parameters by name",
+        "model.json": "backbone, descriptor_dim, input size, normalisation",
+    }
 
     @property
     def weights_file(self) -> Path:
@@ -59,9 +62,7 @@ class DescriptorNet(Artifact):
         return read_table(self, "curve.parquet")
 
     @staticmethod
-    def write(
-        out: Path, *, validated_on: str, metrics: dict[str, float], curve: list[tuple[int, str, float]]
-    ) -> None:
+    def write(out: Path, *, validated_on: str, metrics: dict[str, float], curve: list[tuple[int, str, float]]) -> None:
         """Write metadata and curve; `weights.safetensors` and `model.json` are written beside them by the network."""
         start(out, DescriptorNet, {"validated_on": validated_on, "metrics": metrics})
         columns = {

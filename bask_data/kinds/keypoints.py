@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bask_data.artifact import Artifact, ArraySpec, Metadata, write_group
+from bask_data.artifact import ArraySpec, Artifact, Metadata, write_group
 from bask_data.kinds.arrays import start, write_array
 
 if TYPE_CHECKING:
@@ -34,12 +34,19 @@ class KeypointTrack(Artifact):
     metadata_model = KeypointsMetadata
     arrays = {
         "mean": ArraySpec(("t", "k", "3"), "float32", "Mean position in the world frame; NaN: not localised.", "metre"),
-        "covariance": ArraySpec(("t", "k", "3", "3"), "float32", "Covariance of the position, the certainty.", "metre^2"),
+        "covariance": ArraySpec(
+            ("t", "k", "3", "3"), "float32", "Covariance of the position, the certainty.", "metre^2"
+        ),
         "mode": ArraySpec(("t", "k", "3"), "float32", "Most likely position in the world frame.", "metre"),
         "n_eff": ArraySpec(("t", "k"), "float32", "Effective number of particles (particle filter) or cells."),
-        "log_evidence": ArraySpec(("t", "k"), "float32", "Log of the evidence of the frame under the belief before it."),
+        "log_evidence": ArraySpec(
+            ("t", "k"), "float32", "Log of the evidence of the frame under the belief before it."
+        ),
         "{camera}/pixel": ArraySpec(
-            ("t", "k", "2"), "float32", "Mean position projected into the image, (u, v); NaN: behind the camera.", "pixel"
+            ("t", "k", "2"),
+            "float32",
+            "Mean position projected into the image, (u, v); NaN: behind the camera.",
+            "pixel",
         ),
         "{camera}/observed": ArraySpec(
             ("t", "k"), "bool", "Whether the mean lies in the image and is not behind the measured surface."

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bask_data.artifact import Artifact, ArraySpec, Metadata, write_group
+from bask_data.artifact import ArraySpec, Artifact, Metadata, write_group
 from bask_data.kinds.arrays import FrameWriter, read_frame, start, write_array
 
 if TYPE_CHECKING:
@@ -58,7 +58,9 @@ class VisibleMasks(Artifact):
     arrays = {
         "{camera}/instance": ArraySpec(("t", "h", "w"), "uint8", "Instance visible at each pixel; 0 is none."),
         "{camera}/visible_fraction": ArraySpec(
-            ("t", "k"), "float32", "Visible share of each instance's projection into the image (BOP: visib_fract); NaN: none."
+            ("t", "k"),
+            "float32",
+            "Visible share of each instance's projection into the image (BOP: visib_fract); NaN: none.",
         ),
     }
 
@@ -93,9 +95,7 @@ class MasksWriter:
     def camera(self, name: str, n_frames: int, height: int, width: int) -> CameraMasksWriter:
         """Begin one camera."""
         write_group(self._out / name, {"bask": {"role": "camera"}})
-        self._cameras.append(
-            CameraMasksWriter(self._group, name, n_frames, height, width, self._n_instances)
-        )
+        self._cameras.append(CameraMasksWriter(self._group, name, n_frames, height, width, self._n_instances))
         return self._cameras[-1]
 
     def close(self) -> None:
@@ -103,17 +103,13 @@ class MasksWriter:
         for camera in self._cameras:
             camera.close()
         checked = MasksMetadata(n_instances=self._n_instances, pixels=self.pixels).model_dump(mode="json")
-        write_group(
-            self._out, {"bask": {"kind": VisibleMasks.kind, "schema": VisibleMasks.schema_version, **checked}}
-        )
+        write_group(self._out, {"bask": {"kind": VisibleMasks.kind, "schema": VisibleMasks.schema_version, **checked}})
 
 
 class CameraMasksWriter:
     """Streams one camera's masks."""
 
-    def __init__(
-        self, group: zarr.Group, name: str, n_frames: int, height: int, width: int, n_instances: int
-    ) -> None:
+    def __init__(self, group: zarr.Group, name: str, n_frames: int, height: int, width: int, n_instances: int) -> None:
         self._group, self._name, self._n_instances = group, name, n_instances
         self._instance = FrameWriter(group, VisibleMasks, f"{name}/instance", n_frames, (height, width))
         self._visible_fraction: list[np.ndarray] = []

@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bask_data.artifact import Artifact, ArraySpec, Metadata
+from bask_data.artifact import ArraySpec, Artifact, Metadata
 from bask_data.kinds.arrays import start, write_array
 
 if TYPE_CHECKING:
@@ -48,7 +48,9 @@ class ObjectInstances(Artifact):
             ("n",), "int32", "Instance of each vertex of the reconstruction; 0 is background, 1..k are objects."
         ),
         "support_plane": ArraySpec(
-            ("4",), "float64", "Plane nx, ny, nz, d in the world frame: n.x + d = 0, n towards the objects; zeros: no plane."
+            ("4",),
+            "float64",
+            "Plane nx, ny, nz, d in the world frame: n.x + d = 0, n towards the objects; zeros: no plane.",
         ),
     }
 

@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bask_data.artifact import Artifact, ArraySpec, Metadata
+from bask_data.artifact import ArraySpec, Artifact, Metadata
 from bask_data.kinds.arrays import start, write_array
 
 if TYPE_CHECKING:

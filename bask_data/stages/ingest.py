@@ -57,7 +57,11 @@ def ingest(
             digest = read_manifest(target).digest
             return [Outcome(f"ingest {item}", makes.kind, item, "main", str(target), "up to date", digest=digest)], {}
         raise WouldOverwrite(
-            target, "", expected="no recording of that name", got="one from another source or with other options", fix="choose another --scene, or pass --force."
+            target,
+            "",
+            expected="no recording of that name",
+            got="one from another source or with other options",
+            fix="choose another --scene, or pass --force.",
         )
     is_new = not root.exists()
     try:
@@ -119,7 +123,11 @@ def _refuse_other_scope(dataset: Dataset, makes: type[Recording], item: str) -> 
     other = "demonstration" if makes is Scan else "scene"
     if item in dataset.items(other):
         raise UsageError(
-            dataset.root / DATASET, item, expected="a new name", got=f"the name of a {other}", fix="choose another --scene."
+            dataset.root / DATASET,
+            item,
+            expected="a new name",
+            got=f"the name of a {other}",
+            fix="choose another --scene.",
         )
 
 
@@ -174,7 +182,11 @@ def _checked(camera: recording.CameraRecording) -> Callable[[int], tuple[Any, An
         n_valid += int((depth > 0).sum())
         if i_frame == camera.n_frames - 1 and n_valid == 0:
             raise BadData(
-                camera.name, "depth", expected="a measurement in some frame", got="none in any", fix="check --depth and --invalid-depth."
+                camera.name,
+                "depth",
+                expected="a measurement in some frame",
+                got="none in any",
+                fix="check --depth and --invalid-depth.",
             )
         return rgb, depth
 

@@ -1,0 +1,586 @@
+"""The command line: one command per declared stage, one `ingest` sub-command per format, and the dataset's commands. No logic."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import signal
+import sys
+import types
+import typing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+import click
+import typer
+
+from bask_data import __version__
+from bask_data.config import load_config
+from bask_data.console import say, show_error, show_outcome, shown_progress
+from bask_data.dataset import DATASET, Dataset, Splits, Variant
+from bask_data.errors import BaskError, MissingDependency, UsageError
+from bask_data.formats import FORMATS, Format
+from bask_data.params import Params
+from bask_data.pipeline import STAGES
+from bask_data.stage import Outcome, Stage, State, plan, run, state_of
+
+Root = Annotated[Path, typer.Argument(help="The dataset's directory.", metavar="ROOT")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
+Only = Annotated[str, typer.Option(help="Only these scenes or demonstrations, separated by commas.", metavar="NAMES")]
+Jobs = Annotated[int, typer.Option(min=1, help="Items worked on at the same time, each in a process of its own.")]
+Cluster = Annotated[str, typer.Option(help="Dask scheduler to work on instead: tcp://host:8786.", metavar="ADDRESS")]
+Force = Annotated[bool, typer.Option("--force", help="Make it again even if it is up to date.")]
+ConfigFile = Annotated[
+    Path | None,
+    typer.Option("--config", help="YAML with a section per stage, or `stage@name` for one item.", metavar="FILE"),
+]
+Set = Annotated[
+    list[str],
+    typer.Option("--set", help="One parameter: stage.field=value. May be repeated.", metavar="STAGE.FIELD=VALUE"),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be made, and why, and make nothing.")]
+
+app = typer.Typer(
+    name="bask-data",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="RGB-D scans in; object masks, dense correspondence and Bayesian scene keypoints out.\n\n"
+    "A dataset is a directory: `ingest` fills it, `run` makes everything else from it, `status` says what is stale.",
+)
+ingest_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Read a recording into a dataset; one sub-command per format."
+)
+app.add_typer(ingest_app, name="ingest", rich_help_panel="Dataset")
+
+
+def main() -> None:
+    """Run the command line and leave with the documented exit code."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    try:
+        code = app(standalone_mode=False)
+    except click.exceptions.Exit as error:
+        code = error.exit_code
+    except click.ClickException as error:
+        error.show()
+        code = 2
+    except (KeyboardInterrupt, click.Abort):
+        say("interrupted: what was finished is kept; the same command goes on from there.")
+        code = 130
+    except BaskError as error:
+        show_error(error)
+        code = error.exit_code
+    except BrokenProcessPool:
+        say("error: a worker process was killed.  fix: it may have run out of memory; use fewer --jobs.")
+        code = 1
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 1
+    except ImportError as error:
+        show_error(
+            MissingDependency(
+                "import", error.name or "", expected="a package that loads", got=str(error), fix="bask-data doctor"
+            )
+        )
+        code = MissingDependency.exit_code
+    except Exception as error:
+        if os.environ.get("BASK_DEBUG"):
+            raise
+        say(f"error: {type(error).__name__}: {error}  fix: set BASK_DEBUG=1 for the traceback.")
+        code = 1
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+@app.callback(invoke_without_command=True)
+def _version(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    if version:
+        print(f"bask-data {__version__}")
+        raise typer.Exit
+
+
+# Options from models ---------------------------------------------------------------------------------------------------------
+
+
+def _parameter(
+    name: str, annotation: Any, default: Any, kind: Any = inspect.Parameter.KEYWORD_ONLY
+) -> inspect.Parameter:
+    return inspect.Parameter(name, kind, annotation=annotation, default=default)
+
+
+def _option(name: str, field: Any) -> inspect.Parameter:
+    """One field of a model as an option. Unset stays None, so that the configuration below it is seen."""
+    flag = "--" + name.replace("_", "-")
+    annotation, choices = _plain_type(field.annotation)
+    default = field.get_default(call_default_factory=True)
+    shown = "" if default is None or default == "" or default is ... else _as_text(default)
+    extra: dict[str, Any] = {"click_type": click.Choice(choices)} if choices else {}
+    flags = [f"{flag}/--no-{flag[2:]}"] if annotation is bool else [flag]
+    text = (field.description or "") + (f" [default: {shown}]" if shown else "")
+    option = typer.Option(*flags, help=text, show_default=False, **extra)
+    return _parameter(name, Annotated[annotation | None, option], None)
+
+
+def _plain_type(annotation: Any) -> tuple[type, list[str]]:
+    """The type of an option and its choices; what is no number or flag is text and checked by the model."""
+    if get_origin(annotation) is Literal:
+        return str, [str(choice) for choice in get_args(annotation)]
+    if get_origin(annotation) in (typing.Union, types.UnionType):
+        inner = [part for part in get_args(annotation) if part is not type(None)]
+        return _plain_type(inner[0]) if len(inner) == 1 else (str, [])
+    return (annotation, []) if annotation in (bool, int, float) else (str, [])
+
+
+def _as_text(value: Any) -> str:
+    if isinstance(value, tuple | list):
+        return ",".join(map(str, value))
+    return str(value)
+
+
+def _given(model: type[Params], options: dict[str, Any]) -> dict[str, Any]:
+    """The options that were set, lists split at commas."""
+    given = {name: value for name, value in options.items() if name in model.model_fields and value is not None}
+    for name, value in given.items():
+        annotation = model.model_fields[name].annotation
+        if isinstance(value, str) and _is_sequence(annotation):
+            given[name] = [part.strip() for part in value.split(",") if part.strip()]
+    return given
+
+
+def _is_sequence(annotation: Any) -> bool:
+    if get_origin(annotation) in (tuple, list):
+        return True
+    return any(_is_sequence(part) for part in get_args(annotation))
+
+
+def _command(
+    target: typer.Typer,
+    name: str,
+    help: str,
+    parameters: list[inspect.Parameter],
+    body: Callable[..., None],
+    panel: str,
+) -> None:
+    """Add a command whose signature is made here: Typer reads options off signatures only."""
+
+    def command(**arguments: Any) -> None:
+        body(**arguments)
+
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    target.command(name, help=help)(command)
+
+
+def _model_values(model: type[Params], options: dict[str, Any], where: str) -> Params:
+    from pydantic import ValidationError
+
+    try:
+        return model.model_validate(_given(model, options))
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = "--" + str(first["loc"][0]).replace("_", "-")
+        raise UsageError(
+            where, field, expected=first["msg"], got=str(first.get("input"))[:80], fix=f"see `{where} --help`."
+        ) from error
+
+
+# Stages ----------------------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _executor(jobs: int, cluster: str) -> Iterator[Executor | None]:
+    """Where items are worked on: here, in a pool of processes, or on a Dask cluster."""
+    if cluster:
+        try:
+            from distributed import Client
+        except ImportError:
+            raise MissingDependency(
+                "--cluster", "distributed", expected="Dask", got="none", fix="pip install 'bask-data[cluster]'"
+            ) from None
+        with Client(cluster) as client:
+            yield client.get_executor()
+    elif jobs > 1:
+        from concurrent.futures import ProcessPoolExecutor
+        from multiprocessing import get_context
+
+        # Open3D and torch keep threads: a forked child would inherit their locks.
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            try:
+                yield pool
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+    else:
+        yield None
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _finish(command: str, outcomes: Sequence[Outcome], as_json: bool, next_command: str = "", **more: Any) -> None:
+    """Print the sum and leave with the exit code of the first failure."""
+    if as_json:
+        rows = [
+            {
+                key: getattr(outcome, key)
+                for key in ("label", "kind", "item", "variant", "path", "status", "why", "seconds", "digest")
+            }
+            for outcome in outcomes
+        ]
+        print(json.dumps({"command": command, "outcomes": rows, **more}, indent=2))
+    failed = [outcome for outcome in outcomes if outcome.status == "failed"]
+    blocked = [outcome for outcome in outcomes if outcome.status == "blocked"]
+    if failed:
+        say(f"{len(failed)} failed, {len(blocked)} blocked, {len(outcomes) - len(failed) - len(blocked)} fine.")
+        raise typer.Exit(failed[0].error.exit_code if failed[0].error else 1)
+    if blocked:
+        say(f"{len(blocked)} blocked: an input is missing.  fix: make it first, or `bask-data run`.")
+        raise typer.Exit(UsageError.exit_code)
+    if next_command:
+        say(f"next: {next_command}")
+
+
+def _show_warnings(outcome: Outcome) -> None:
+    """What a stage wants a person to know."""
+    if outcome.status in ("made", "up to date") and outcome.path:
+        from bask_data.artifact import Artifact
+
+        for warning in Artifact(outcome.path).attributes.get("warnings", []):
+            say(f"  note: {outcome.label}: {warning}")
+
+
+def _add_stage(stage: Stage) -> None:
+    # Positional parameters first, as a signature wants them.
+    parameters = [_parameter("root", Root, inspect.Parameter.empty)]
+    if stage.makes.scope != "dataset":
+        parameters.append(_parameter("only", Only, ""))
+    if stage.makes.has_variants:
+        option = typer.Option(
+            "--variant", help="Name of this result, to keep several beside each other.", metavar="NAME"
+        )
+        parameters.append(_parameter("variant", Annotated[str, option], "main"))
+        for given in stage.inputs:
+            if given.artifact.has_variants:
+                kind = given.artifact.kind
+                option = typer.Option(
+                    f"--{kind}", help=f"Variant of the {kind} to use. [default: that of --variant]", metavar="NAME"
+                )
+                parameters.append(_parameter(f"variant_of_{kind}", Annotated[str, option], ""))
+    parameters += [_option(name, field) for name, field in stage.params.model_fields.items()]
+    parameters += [
+        _parameter("jobs", Jobs, 1),
+        _parameter("cluster", Cluster, ""),
+        _parameter("force", Force, False),
+        _parameter("config", ConfigFile, None),
+        _parameter("set_", Set, []),
+        _parameter("dry_run", DryRun, False),
+        _parameter("json_", Json, False),
+        _parameter("stage_version", Annotated[int, typer.Option(hidden=True)], 0),
+    ]
+
+    def body(
+        root: Path, config: Path | None, set_: list[str], dry_run: bool, json_: bool, force: bool, **options: Any
+    ) -> None:
+        if options["stage_version"] not in (0, stage.version):
+            raise UsageError(
+                stage.name,
+                "--stage-version",
+                expected=str(stage.version),
+                got=options["stage_version"],
+                fix=f"bask-data dvc {root}",
+            )
+        dataset = Dataset(root)
+        dataset.recover()
+        variant = options.get("variant", "main")
+        chosen = {
+            name.removeprefix("variant_of_"): value
+            for name, value in options.items()
+            if name.startswith("variant_of_") and value
+        }
+        tasks = plan(
+            dataset,
+            stage,
+            config=load_config(config, set_, STAGES),
+            options=_given(stage.params, options),
+            only=_names(options.get("only", "")),
+            variant=variant,
+            variant_inputs=chosen,
+        )
+        if not tasks:
+            raise UsageError(
+                root, "", expected=f"a {stage.makes.scope}", got="none in the dataset", fix="bask-data ingest --help"
+            )
+        outcomes = []
+        with shown_progress(), _executor(options["jobs"], options["cluster"]) as executor:
+            for outcome in run(tasks, executor=executor, force=force, dry_run=dry_run):
+                show_outcome(outcome)
+                _show_warnings(outcome)
+                outcomes.append(outcome)
+        if variant != "main" and not dry_run and any(outcome.status == "made" for outcome in outcomes):
+            dataset.add_variant(stage.makes, variant, Variant(inputs=chosen))
+        later = [
+            other
+            for other in STAGES[STAGES.index(stage) + 1 :]
+            if stage.makes in [given.artifact for given in other.inputs]
+        ]
+        _finish(
+            stage.name, outcomes, json_, f"bask-data {later[0].name} {root}" if later else f"bask-data report {root}"
+        )
+
+    _command(app, stage.name, stage.help, parameters, body, "Stages")
+
+
+for _stage in STAGES:
+    _add_stage(_stage)
+
+
+# Ingest ----------------------------------------------------------------------------------------------------------------------
+
+
+def _add_format(format: Format) -> None:
+    source = Annotated[
+        Path, typer.Argument(help="The recording's folder.", metavar="SOURCE", exists=True, file_okay=False)
+    ]
+    scene = Annotated[str, typer.Option("--scene", help="Name of the recording in the dataset.", metavar="NAME")]
+    as_ = Annotated[
+        str,
+        typer.Option(
+            "--as",
+            help="A scan of a static scene, or a demonstration.",
+            click_type=click.Choice(["scan", "demonstration"]),
+        ),
+    ]
+    replace = Annotated[bool, typer.Option("--force", help="Replace a recording of that name.")]
+    parameters = [
+        _parameter("source", source, inspect.Parameter.empty),
+        _parameter("root", Root, inspect.Parameter.empty),
+        _parameter("scene", scene, inspect.Parameter.empty),
+        _parameter("as_", as_, "scan"),
+        *[_option(name, field) for name, field in format.options.model_fields.items()],
+        _parameter("force", replace, False),
+        _parameter("json_", Json, False),
+    ]
+
+    def body(source: Path, root: Path, scene: str, as_: Any, force: bool, json_: bool, **options: Any) -> None:
+        from bask_data.stages.ingest import ingest
+
+        values = _model_values(format.options, options, f"bask-data ingest {format.name}")
+        with shown_progress():
+            outcomes, assumptions = ingest(
+                root, scene, format=format, source=source, options=values, kind=as_, force=force
+            )
+        for name, text in assumptions.items():
+            say(f"  assumed     {name}: {text}")
+        for outcome in outcomes:
+            show_outcome(outcome)
+        _finish(f"ingest {format.name}", outcomes, json_, f"bask-data run {root}", assumptions=assumptions)
+
+    _command(ingest_app, format.name, format.help, parameters, body, "Formats")
+
+
+for _format in FORMATS:
+    _add_format(_format)
+
+
+# The dataset -----------------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def init(
+    root: Root,
+    name: Annotated[str, typer.Option(help="Name of the dataset; by default the directory's.")] = "",
+    licence: Annotated[str, typer.Option(help="Licence of the data: an SPDX identifier.")] = "",
+    json_: Json = False,
+) -> None:
+    """Make an empty dataset."""
+    dataset = Dataset.create(root, name, licence)
+    say(f"made {dataset.root / DATASET}")
+    if json_:
+        print(json.dumps({"command": "init", "root": str(root), "name": dataset.file.name}))
+    say(f"next: bask-data ingest frames SOURCE {root} --scene NAME ...")
+
+
+@app.command("run")
+def run_all(
+    root: Root,
+    only: Only = "",
+    jobs: Jobs = 1,
+    cluster: Cluster = "",
+    force: Force = False,
+    config: ConfigFile = None,
+    set_: Set = [],  # noqa: B006  # Typer copies it.
+    dry_run: DryRun = False,
+    json_: Json = False,
+) -> None:
+    """Make everything that is missing or stale, in order."""
+    dataset = Dataset(root)
+    dataset.recover()
+    parameters = load_config(config, set_, STAGES)
+    names = _names(only)
+    unknown = [name for name in names if name not in dataset.items("recording")]
+    if unknown:
+        known = ", ".join(dataset.items("recording")) or "no items yet"
+        raise UsageError(root, "--only", expected=f"one of {known}", got=", ".join(unknown))
+    if not dataset.items("recording"):
+        raise UsageError(root, "", expected="a recording", got="none in the dataset", fix="bask-data ingest --help")
+    outcomes: list[Outcome] = []
+    with shown_progress(), _executor(jobs, cluster) as executor:
+        for stage in STAGES:
+            items = [name for name in names if name in dataset.items(stage.makes.scope)]
+            if names and stage.makes.scope != "dataset" and not items:
+                continue
+            for variant in dataset.variants(stage.makes):
+                tasks = plan(dataset, stage, config=parameters, only=items, variant=variant)
+                for outcome in run(tasks, executor=executor, force=force, dry_run=dry_run):
+                    show_outcome(outcome)
+                    _show_warnings(outcome)
+                    outcomes.append(outcome)
+    _finish("run", outcomes, json_, f"bask-data report {root}")
+
+
+@app.command()
+def status(root: Root, config: ConfigFile = None, set_: Set = [], json_: Json = False) -> None:  # noqa: B006
+    """Say of every artifact whether it is up to date, and if not, why."""
+    dataset = Dataset(root)
+    parameters = load_config(config, set_, STAGES)
+    rows: list[tuple[str, str, State]] = []
+    for stage in STAGES:
+        for variant in dataset.variants(stage.makes):
+            for task in plan(dataset, stage, config=parameters, variant=variant):
+                rows.append((stage.name, task.label, state_of(task)))
+    for _, label, state in rows:
+        say(f"  {state.status:<10}  {label}{f'  ({state.why})' if state.why else ''}")
+    n_todo = sum(state.status != "up to date" for _, _, state in rows)
+    if json_:
+        found = [
+            {"stage": stage, "label": label, "status": state.status, "why": state.why} for stage, label, state in rows
+        ]
+        print(json.dumps({"command": "status", "artifacts": found}, indent=2))
+    say(f"next: bask-data run {root}" if n_todo else "everything is up to date.")
+
+
+@app.command()
+def info(root: Root, json_: Json = False) -> None:
+    """Say what a dataset holds."""
+    from bask_data.validate import artifacts_on_disk, total_bytes
+
+    dataset = Dataset(root)
+    file = dataset.file
+    say(
+        f"{file.name}: {len(file.scenes)} scenes, {len(file.demonstrations)} demonstrations, licence {file.licence or 'not stated'}"
+    )
+    rows = []
+    for artifact in artifacts_on_disk(dataset):
+        manifest = artifact.manifest
+        rows.append(
+            {
+                "artifact": artifact.path.relative_to(dataset.root).as_posix(),
+                "made_by": f"{manifest.stage} v{manifest.stage_version}",
+                "bytes": total_bytes(manifest.files),
+                "digest": manifest.digest,
+                "metadata": {key: value for key, value in artifact.attributes.items() if key not in ("kind", "schema")},
+                "cameras": _camera_sizes(artifact),
+            }
+        )
+        cameras = ", ".join(f"{name} {size}" for name, size in rows[-1]["cameras"].items())  # type: ignore[attr-defined]
+        say(
+            f"  {rows[-1]['artifact']:<40} {total_bytes(manifest.files) / 1e6:9.1f} MB  {manifest.digest[:12]}  {cameras}"
+        )
+    for name, scenes in file.splits.model_dump().items():
+        if scenes:
+            say(f"  {name}: {', '.join(scenes)}")
+    if json_:
+        print(json.dumps({"command": "info", "dataset": file.model_dump(mode="json"), "artifacts": rows}, indent=2))
+
+
+def _camera_sizes(artifact: Any) -> dict[str, str]:
+    from bask_data.kinds import Recording
+
+    if not isinstance(artifact, Recording):
+        return {}
+    return {camera.name: f"{camera.n_frames} x {camera.width}x{camera.height}" for camera in artifact.cameras}
+
+
+@app.command()
+def validate(root: Root, json_: Json = False) -> None:
+    """Hold every file against its SHA-256 and every array against its schema."""
+    from bask_data.validate import artifacts_on_disk
+    from bask_data.validate import validate as find_problems
+
+    dataset = Dataset(root)
+    with shown_progress():
+        problems = find_problems(dataset)
+    for problem in problems:
+        say(f"error: {problem}")
+    if json_:
+        print(json.dumps({"command": "validate", "problems": [vars(problem) for problem in problems]}, indent=2))
+    if problems:
+        say(f"{len(problems)} problems.")
+        raise typer.Exit(4)
+    say(f"{len(artifacts_on_disk(dataset))} artifacts, no problem.")
+
+
+@app.command()
+def split(
+    root: Root,
+    train: Annotated[str, typer.Option(help="Scenes to train on, separated by commas.", metavar="NAMES")] = "",
+    validation: Annotated[str, typer.Option(help="Scenes to validate on.", metavar="NAMES")] = "",
+    test: Annotated[str, typer.Option(help="Scenes kept for the test.", metavar="NAMES")] = "",
+    json_: Json = False,
+) -> None:
+    """Say which scenes are for training, validation and test; never splits the frames of a scene."""
+    splits = Splits(train=tuple(_names(train)), validation=tuple(_names(validation)), test=tuple(_names(test)))
+    Dataset(root).set_splits(splits)
+    if json_:
+        print(json.dumps({"command": "split", **splits.model_dump(mode="json")}))
+    say(f"next: bask-data train {root}")
+
+
+@app.command()
+def dvc(
+    root: Root,
+    config: ConfigFile = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Only say whether the files are what would be written.")
+    ] = False,
+    json_: Json = False,
+) -> None:
+    """Write dvc.yaml and params.yaml, so that `dvc repro` runs and records the pipeline."""
+    from bask_data.dvc import render
+
+    dataset = Dataset(root)
+    rendered = render(dataset, STAGES, load_config(config or _params_of(root), [], STAGES))
+    stale = [name for name, text in rendered.items() if not (root / name).exists() or (root / name).read_text() != text]
+    if json_:
+        print(json.dumps({"command": "dvc", "files": sorted(rendered), "changed": stale}))
+    if check:
+        if stale:
+            raise UsageError(
+                root,
+                ", ".join(stale),
+                expected="what the code renders",
+                got="something else",
+                fix=f"bask-data dvc {root}",
+            )
+        return
+    for name in stale:
+        (root / name).write_text(rendered[name])
+        say(f"made {root / name}")
+    for stage in STAGES:
+        for variant in dataset.variants(stage.makes):
+            dataset.prepare(stage.makes, variant)
+    say(f"next: dvc repro {root / 'dvc.yaml'}")
+
+
+def _params_of(root: Path) -> Path | None:
+    return root / "params.yaml" if (root / "params.yaml").exists() else None
+
+
+if __name__ == "__main__":
+    main()

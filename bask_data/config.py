@@ -1,0 +1,63 @@
+"""Parameters from a YAML file and from `--set`, checked for names before anything runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from bask_data.errors import BadData, UsageError
+from bask_data.stage import Config, Stage
+
+
+def load_config(file: Path | None, assignments: Sequence[str], stages: Iterable[Stage]) -> Config:
+    """Sections `stage` or `stage@name` with parameters; `--set stage.field=value` goes over the file.
+
+    Raises:
+        BadData: the file is no YAML mapping of mappings.
+        UsageError: a section or a field that no stage has.
+    """
+    config = _from_file(file) if file else {}
+    for assignment in assignments:
+        target, equals, text = assignment.partition("=")
+        section, dot, field = target.strip().rpartition(".")
+        if not equals or not dot:
+            raise UsageError("--set", "", expected="stage.field=value", got=assignment)
+        config.setdefault(section, {})[field] = _value(text)
+    by_name = {stage.name: stage for stage in stages}
+    where = str(file) if file else "--set"
+    for section, values in config.items():
+        stage = by_name.get(section.split("@")[0])
+        if stage is None:
+            raise UsageError(where, section, expected=f"one of {', '.join(by_name)}", got=section)
+        unknown = [field for field in values if field not in stage.params.model_fields]
+        if unknown:
+            known = ", ".join(stage.params.model_fields)
+            raise UsageError(where, f"{section}.{unknown[0]}", expected=f"one of {known}", got=str(unknown[0]))
+    return config
+
+
+def _from_file(file: Path) -> Config:
+    import yaml
+
+    try:
+        document = yaml.safe_load(file.read_text(encoding="utf-8")) or {}
+    except FileNotFoundError:
+        raise UsageError(file, "", expected="a YAML file", got="nothing") from None
+    except (yaml.YAMLError, OSError, ValueError, RecursionError) as error:
+        raise BadData(file, "", expected="YAML", got=str(error).replace("\n", " ")) from error
+    if not isinstance(document, dict):
+        raise BadData(file, "", expected="sections named like stages", got=type(document).__name__)
+    for section, values in document.items():
+        if not isinstance(values, dict | None):
+            raise BadData(file, str(section), expected="parameters by name", got=str(values)[:60])
+    return {str(section): dict(values or {}) for section, values in document.items()}
+
+
+def _value(text: str) -> Any:
+    import yaml
+
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise UsageError("--set", "", expected="a YAML value", got=text) from error

@@ -1,0 +1,111 @@
+"""What a person sees on the terminal: progress with an estimate, outcomes, errors. All of it on stderr; stdout is for `--json`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from bask_data import progress
+from bask_data.errors import BaskError
+from bask_data.stage import Outcome
+
+_SECONDS_BETWEEN_LINES = 10.0
+_MARKS = {
+    "made": "made",
+    "up to date": "up to date",
+    "failed": "FAILED",
+    "blocked": "blocked",
+    "would make": "would make",
+}
+
+
+def say(text: str) -> None:
+    """One line on stderr."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def show_outcome(outcome: Outcome) -> None:
+    """One line an outcome; errors in full."""
+    seconds = f"  {_duration(outcome.seconds)}" if outcome.seconds >= 0.05 else ""
+    why = f"  ({outcome.why})" if outcome.why and outcome.status != "failed" else ""
+    say(f"  {_MARKS[outcome.status]:<10}  {outcome.label}{seconds}{why}")
+    if outcome.status == "failed":
+        say(f"error: {outcome.why}")
+
+
+def show_error(error: BaskError) -> None:
+    """An error with its notes, without a traceback."""
+    say("\n".join([f"error: {error}", *getattr(error, "__notes__", [])]))
+
+
+@contextmanager
+def shown_progress() -> Iterator[None]:
+    """Show the progress of long loops: a bar on a terminal, else a line now and then."""
+    listener = _Bar() if sys.stderr.isatty() else _Lines()
+    progress.listen(listener)
+    try:
+        yield
+    finally:
+        progress.listen(None)
+        listener.close()
+
+
+class _Lines:
+    """A line every ten seconds, for logs."""
+
+    def __init__(self) -> None:
+        self._label, self._begun, self._said = "", 0.0, 0.0
+
+    def __call__(self, label: str, done: int, total: int | None) -> None:
+        now = time.monotonic()
+        if label != self._label or done == 0:
+            self._label, self._begun, self._said = label, now, now
+        if now - self._said >= _SECONDS_BETWEEN_LINES:
+            self._said = now
+            say(f"  ...         {label} {done}{f'/{total}' if total else ''}{_left(now - self._begun, done, total)}")
+
+    def close(self) -> None:
+        """Nothing is left on the screen."""
+
+
+class _Bar:
+    """A bar that vanishes when its loop ends."""
+
+    def __init__(self) -> None:
+        self._progress: Any = None
+        self._label, self._task = "", None
+
+    def __call__(self, label: str, done: int, total: int | None) -> None:
+        if self._progress is None:
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+            columns = (TextColumn("  {task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+            self._progress = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._progress.start()
+        if label != self._label or done == 0:
+            if self._task is not None:
+                self._progress.remove_task(self._task)
+            self._label, self._task = label, self._progress.add_task(label, total=total)
+        self._progress.update(self._task, completed=done, total=total)
+        if done == total:
+            self.close()
+
+    def close(self) -> None:
+        """Clear the bar away, so that lines can be printed."""
+        if self._progress is not None:
+            self._progress.stop()
+        self._progress, self._task, self._label = None, None, ""
+
+
+def _left(elapsed: float, done: int, total: int | None) -> str:
+    return f", about {_duration(elapsed / done * (total - done))} left" if done and total else ""
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    return f"{int(seconds) // 60} min {int(seconds) % 60} s"

@@ -1,0 +1,114 @@
+"""DVC: `dvc.yaml` and `params.yaml`, rendered from the declared stages and the dataset's items.
+
+DVC takes no wildcards, so every item has its own stage. It does not see Python code, so the stage's version stands in the command. Splits are tracked as
+a parameter, not `dataset.json` as a dependency: adding a scene must not make the other scenes stale.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import Any
+
+from bask_data.dataset import DATASET, Dataset, Source
+from bask_data.kinds import Demonstration, Scan
+from bask_data.stage import Config, Stage, Task, plan, resolve
+
+_HEADER = "# Written by `bask-data dvc`; change params.yaml or dataset.json, then run it again.\n"
+_PARAMS_HEADER = "# Parameters of every stage. Change values freely; a section `stage@name` holds what differs for one item or variant.\n"
+
+
+def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[str, str]:
+    """File name to content for the dataset's directory: dvc.yaml, params.yaml and .gitignore."""
+    import yaml
+
+    stages = list(stages)
+    described: dict[str, Any] = {}
+    for scope, kind in (("scene", Scan), ("demonstration", Demonstration)):
+        sources = dataset.file.scenes if scope == "scene" else dataset.file.demonstrations
+        for item, source in sources.items():
+            described[f"ingest-{item}"] = _ingest(dataset, kind.kind, item, source)
+    for stage in stages:
+        for variant in dataset.variants(stage.makes):
+            for task in plan(dataset, stage, config=config, variant=variant):
+                described["-".join(task.label.split())] = _stage(dataset, task, config)
+    text = yaml.safe_dump({"stages": described}, sort_keys=False, width=120, allow_unicode=True)
+    return {
+        "dvc.yaml": _HEADER + text,
+        "params.yaml": params_text(stages, config),
+        ".gitignore": "/.scratch/\n/provenance/\n",
+    }
+
+
+def params_text(stages: Iterable[Stage], config: Config) -> str:
+    """Every parameter of every stage with its value and, as a comment, its meaning."""
+    lines = [_PARAMS_HEADER]
+    for stage in stages:
+        values = resolve(stage, {stage.name: config.get(stage.name, {})}, "", "main", {}).model_dump(mode="json")
+        lines.append(f"{stage.name}:")
+        for name, value in values.items():
+            description = (stage.params.model_fields[name].description or "").replace("\n", " ")
+            lines += [f"  # {description}"] if description else []
+            lines.append(f"  {name}: {_yaml_value(value)}")
+        lines += [] if values else ["  {}"]
+        for section in sorted(section for section in config if section.startswith(f"{stage.name}@")):
+            lines.append(f"{section}:")
+            lines += [f"  {name}: {_yaml_value(value)}" for name, value in config[section].items()]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _yaml_value(value: Any) -> str:
+    """A value on one line. JSON is YAML but for floats such as 1e-05, which YAML 1.1 reads as text without a point."""
+    text = json.dumps(value, ensure_ascii=False)
+    if isinstance(value, float) and "e" in text and "." not in text:
+        mantissa, exponent = text.split("e")
+        return f"{mantissa}.0e{exponent}"
+    return text
+
+
+def _ingest(dataset: Dataset, kind: str, item: str, source: Source) -> dict[str, Any]:
+    options = [f"--{name.replace('_', '-')} {_shell(value)}" for name, value in source.options.items()]
+    outs = [f"{kind}/{item}"] + ([f"truth/{item}"] if (dataset.root / "truth" / item).exists() else [])
+    words = [
+        f"bask-data ingest {source.format} {_shell(source.path)} . --scene {item} --as {kind} --force",
+        *options,
+    ]
+    return {
+        "desc": f"Read {source.path}",
+        "cmd": " ".join(words),
+        "deps": [source.path],
+        "outs": [{out: {"persist": True}} for out in outs],
+    }
+
+
+def _stage(dataset: Dataset, task: Task, config: Config) -> dict[str, Any]:
+    stage = task.stage
+    words = [f"bask-data {stage.name} .", "--config params.yaml", f"--stage-version {stage.version}"]
+    if task.item:
+        words.insert(1, f"--only {task.item}")
+    if task.variant != "main":
+        words.append(f"--variant {task.variant}")
+        chosen = dataset.variants(stage.makes)[task.variant].inputs
+        words += [f"--{kind} {variant}" for kind, variant in chosen.items()]
+    sections = [stage.name] if stage.params.model_fields else []
+    sections += [name for name in (f"{stage.name}@{task.variant}", f"{stage.name}@{task.item}") if config.get(name)]
+    params: list[Any] = list(sections)
+    if stage.wants_splits:
+        params.append({DATASET: ["splits"]})
+    inputs = [task.input_path(binding) for bindings in task.inputs.values() for binding in bindings]
+    described: dict[str, Any] = {
+        "desc": stage.help.splitlines()[0],
+        "cmd": " ".join(words),
+        "deps": [path.relative_to(dataset.root).as_posix() for path in inputs],
+    }
+    if params:
+        described["params"] = params
+    described["outs"] = [{task.target.relative_to(dataset.root).as_posix(): {"persist": True}}]
+    return described
+
+
+def _shell(value: Any) -> str:
+    import shlex
+
+    return shlex.quote(str(value))
