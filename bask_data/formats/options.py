@@ -11,11 +11,14 @@ from bask_data.params import Params
 Text = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(value, int | float) else value)]
 """A text that a configuration file may spell as a number: `invalid_depth: 65535`."""
 
+NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
+"""A camera's name becomes the name of a folder."""
+
 
 class FramesOptions(Params):
     """A folder of colour, depth and pose files."""
 
-    camera: str = Field("camera", min_length=1, description="Name of the camera in the dataset: wrist, overhead.")
+    camera: str = Field("camera", pattern=NAME, description="Name of the camera in the dataset: wrist, overhead.")
     color: str = Field(
         "frame-*.color.png", description="Colour files, relative to SOURCE; what * matches pairs the files of a frame."
     )
@@ -56,7 +59,7 @@ class FramesOptions(Params):
 class TumOptions(Params):
     """A sequence in the layout of the TUM RGB-D benchmark."""
 
-    camera: str = Field("camera", min_length=1, description="Name of the camera in the dataset: wrist, overhead.")
+    camera: str = Field("camera", pattern=NAME, description="Name of the camera in the dataset: wrist, overhead.")
     intrinsics: Text = Field(
         "",
         description="freiburg1, freiburg2 or freiburg3: the benchmark's calibration; else fx,fy,cx,cy or a text file.",
@@ -75,7 +78,7 @@ class TumOptions(Params):
 class ApcOptions(Params):
     """A scene of the MIT-Princeton team's recordings for the Amazon Picking Challenge."""
 
-    camera: str = Field("wrist", min_length=1, description="Name of the camera in the dataset.")
+    camera: str = Field("wrist", pattern=NAME, description="Name of the camera in the dataset.")
     world: Literal["auto", "bin", "robot"] = Field(
         "auto", description="World frame: the shelf bin's, the robot's, or the bin's where the files state it (auto)."
     )

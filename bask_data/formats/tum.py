@@ -86,7 +86,7 @@ def _assumptions(options: TumOptions, n_color: int, n_used: int) -> dict[str, st
     limit = f"{options.max_time_difference:g} s"
     return {
         "frames": f"{n_used} of {n_color} colour images have depth and pose within {limit}; the others are left out",
-        "pose": "groundtruth.txt holds world_from_camera of the colour camera, metres, OpenCV axes, quaternion x y z w; "
+        "pose": "groundtruth.txt holds world_from_camera of the colour camera, metres, OpenCV axes, x y z w; "
         "the nearest in time, not interpolated",
         "depth": f"z-depth registered to colour, {options.depth_scale:g} m per unit, 0 = no measurement",
         "intrinsics": f"{options.intrinsics}, for colour and depth alike, no lens distortion",

@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bask_data.core.geometry import rotation_angle
+from bask_data.errors import BadData
+from bask_data.formats import FORMATS
+from bask_data.formats.camera import ImageFiles
+from bask_data.formats.options import ApcOptions
+from bask_data.formats.recording import Recording
+from tests.formats.folders import median_depth_disagreement, write_image
+
+DATASETS = Path(__file__).parents[2] / "datasets"
+SCAN, DEMO = DATASETS / "apc_shelf", DATASETS / "labelfusion_shelf"
+
+
+def read(source: Path, **options: object) -> Recording:
+    apc = next(item for item in FORMATS if item.name == "apc")
+    return apc.read(source, ApcOptions(**options))
+
+
+@pytest.fixture
+def scan(tmp_path: Path) -> Path:
+    """A copy of the shipped scan that a test may spoil."""
+    return Path(shutil.copytree(SCAN, tmp_path / "scan"))
+
+
+@pytest.fixture
+def demo(tmp_path: Path) -> Path:
+    """A copy of the shipped demonstration that a test may spoil."""
+    return Path(shutil.copytree(DEMO, tmp_path / "demo"))
+
+
+@pytest.mark.parametrize(("source", "millimetres"), [(SCAN, 4.5), (DEMO, 5.0)])
+def test_the_depth_of_neighbouring_frames_agrees_in_the_shipped_recordings(source: Path, millimetres: float) -> None:
+    recording = read(source)
+    disagreements = [median_depth_disagreement(recording, i, i + 1) for i in range(recording.cameras[0].n_frames - 1)]
+    assert 1000 * np.median(disagreements) < millimetres
+
+
+@pytest.mark.parametrize(
+    ("source", "names"),
+    [
+        (SCAN, {48: "chenille stems", 114: "bunny book", 132: "tissue box", 144: "joke book"}),
+        (DEMO, {48: "chenille stems", 132: "tissue box"}),
+    ],
+)
+def test_the_shipped_recordings_are_read_whole(source: Path, names: dict[int, str]) -> None:
+    recording = read(source)
+    (camera,) = recording.cameras
+    assert (camera.n_frames, camera.height, camera.width, camera.depth_scale) == (15, 480, 640, 1e-4)
+    assert recording.label_names == names
+    assert camera.time.tolist() == list(range(15))
+    assert camera.labels is not None
+    for i in (0, 14):
+        rgb, depth = camera.read(i)
+        labels = camera.labels(i)
+        assert rgb.shape == (480, 640, 3)
+        assert set(np.unique(labels)) == {0, *names}
+        # The box is teal: more green and blue than red says that the channels are in order.
+        red, green, blue = rgb[labels == 132].mean(axis=0)
+        assert red < min(green, blue)
+        assert 0.3 < np.median(depth[depth > 0]) * camera.depth_scale < 0.8
+    assert len(recording.files) == (46 if source == SCAN else 61)
+
+
+def test_the_world_is_the_bin_where_the_files_state_it_and_else_the_robot() -> None:
+    in_bin, in_robot = read(SCAN), read(SCAN, world="robot")
+    assert "bin" in in_bin.assumptions["world"]
+    assert "robot" in in_robot.assumptions["world"]
+    assert "robot" in read(DEMO).assumptions["world"]
+    # The file's own numbers: where the bin's origin lies in the robot's frame, and its turn of 0.0158 rad about z.
+    offset = in_robot.cameras[0].world_from_cameras[0, :3, 3] - [1.4732899, -0.00644825452, 1.0373053]
+    turned = in_bin.cameras[0].world_from_cameras[0, :3, 3]
+    assert np.allclose(
+        turned, [[0.999874572, 0.0158379443, 0], [-0.0158379443, 0.999874572, 0], [0, 0, 1]] @ offset, atol=1e-6
+    )
+    turn = in_bin.cameras[0].world_from_cameras[0, :3, :3] @ in_robot.cameras[0].world_from_cameras[0, :3, :3].T
+    assert np.isclose(rotation_angle(turn[None]), 0.0158386, atol=1e-6)
+
+
+def test_a_bin_frame_that_the_files_do_not_state_is_refused() -> None:
+    with pytest.raises(
+        BadData, match="--world: expected the bin's transform in cam.info.txt .* got none.  fix: pass --world robot"
+    ):
+        read(DEMO, world="bin")
+
+
+@given(st.integers(0, 65535))
+def test_raw_depth_is_rotated_left_by_three_bits(tmp_path_factory, value: int) -> None:
+    path = tmp_path_factory.getbasetemp() / "rotated.png"
+    write_image(path, np.full((2, 2), ((value << 3) | (value >> 13)) & 0xFFFF, np.uint16))
+    assert (ImageFiles((path,), (path,), rotated_depth=True).read_depth(0) == value).all()
+
+
+def test_png_colour_is_read_as_well(demo: Path) -> None:
+    for path in demo.glob("*.jpg"):
+        write_image(path.with_suffix(".png"), cv2.imread(str(path))[..., ::-1])
+        path.unlink()
+    assert np.array_equal(read(demo).cameras[0].read(3)[0], read(DEMO).cameras[0].read(3)[0])
+
+
+def test_a_recording_without_labels_has_none(demo: Path) -> None:
+    for path in demo.glob("*.segm.png"):
+        path.unlink()
+    recording = read(demo)
+    assert recording.cameras[0].labels is None
+    assert recording.label_names == {}
+    assert recording.assumptions["labels"] == "none found"
+
+
+@pytest.mark.parametrize("name", ["frame-000004.segm.png", "frame-000004.pose.txt", "frame-000004.depth.png"])
+def test_a_frame_without_a_partner_is_named(demo: Path, name: str) -> None:
+    (demo / name).unlink()
+    with pytest.raises(BadData, match="frame 000004: expected a .* file for every frame, got none for 1 of 15"):
+        read(demo)
+
+
+def test_a_calibration_without_a_frames_pose_is_refused(scan: Path) -> None:
+    info = (scan / "cam.info.txt").read_text().replace("for frame-000007", "for nothing")
+    (scan / "cam.info.txt").write_text(info)
+    with pytest.raises(
+        BadData, match="cam.info.txt: for frame-000007: expected one matrix under a comment with these words, got 0"
+    ):
+        read(scan)
+
+
+def test_a_calibration_with_a_broken_pose_is_refused_by_the_frames_name(scan: Path) -> None:
+    info = (scan / "cam.info.txt").read_text().replace(" 4.35946526e-01", "-4.35946526e-01", 1)
+    (scan / "cam.info.txt").write_text(info)
+    with pytest.raises(BadData, match="cam.info.txt: frame-000000: pose: expected a rigid transform"):
+        read(scan)
+
+
+def test_intrinsics_that_are_no_3x3_matrix_are_refused(scan: Path) -> None:
+    info = (
+        (scan / "cam.info.txt").read_text().replace("0.00000000e+00	  1.00000000e+00	", "0.00000000e+00	", 1)
+    )
+    (scan / "cam.info.txt").write_text(info)
+    with pytest.raises(BadData, match="color camera intrinsic: expected a 3x3 matrix, got 8 numbers"):
+        read(scan)
+
+
+def test_an_unknown_label_keeps_its_number_as_its_name(demo: Path) -> None:
+    path = demo / "frame-000004.segm.png"
+    labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    labels[0, 0] = 6
+    write_image(path, labels)
+    assert read(demo).label_names[6] == "label 6"

@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bask_data.errors import BadData, UsageError
+from bask_data.formats import files
+
+
+def test_a_source_that_is_no_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match="SOURCE: expected a folder, got a file"):
+        files.source_folder(tmp_path / "file")
+    with pytest.raises(UsageError, match="SOURCE: expected a folder, got nothing there"):
+        files.source_folder(tmp_path / "missing")
+
+
+@pytest.mark.parametrize("relative", ["../secret.txt", "/etc/passwd", "a/../../secret.txt"])
+def test_a_path_out_of_the_source_folder_is_refused(tmp_path: Path, relative: str) -> None:
+    with pytest.raises(BadData, match="expected a path inside the source folder"):
+        files.member(tmp_path, relative, "rgb.txt")
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(BadData, match="gone.txt: rgb.txt: expected a file, got nothing there"):
+        files.member(tmp_path, "gone.txt", "rgb.txt")
+
+
+def test_a_link_out_of_the_source_folder_is_refused_and_one_inside_is_followed(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    (tmp_path / "secret").write_text("x")
+    (source / "inside").write_text("x")
+    (source / "out").symlink_to(tmp_path / "secret")
+    (source / "in").symlink_to(source / "inside")
+    with pytest.raises(BadData, match="got a link out of it"):
+        files.member(source, "out", "--color")
+    assert files.member(source, "in", "--color").read_text() == "x"
+
+
+def test_a_pipe_is_refused_instead_of_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(BadData, match="expected a regular file, got something else"):
+        files.member(tmp_path, "pipe", "--color")
+
+
+@pytest.mark.parametrize("pattern", ["frame.png", "*/*.png", "**"])
+def test_a_pattern_without_exactly_one_star_is_refused(tmp_path: Path, pattern: str) -> None:
+    with pytest.raises(UsageError, match="--color: expected a pattern with one \\*"):
+        files.matching(tmp_path, pattern, "color")
+
+
+@pytest.mark.parametrize("pattern", ["../*.png", "/tmp/*.png"])
+def test_a_pattern_out_of_the_source_folder_is_refused(tmp_path: Path, pattern: str) -> None:
+    with pytest.raises(UsageError, match="expected a pattern inside SOURCE"):
+        files.matching(tmp_path, pattern, "color")
+
+
+def test_a_pattern_that_fits_no_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadData, match="--color: expected files that fit 'a-\\*.png', got none.  fix: pass --color"):
+        files.matching(tmp_path, "a-*.png", "color")
+
+
+def test_files_are_found_by_what_the_star_matches_with_frame_9_before_frame_10(tmp_path: Path) -> None:
+    for name in ("a[1]-10.png", "a[1]-9.png", "a[1]-9.txt", "a1-11.png"):
+        (tmp_path / name).touch()
+    assert list(files.matching(tmp_path, "a[1]-*.png", "color")) == ["9", "10"]
+
+
+def test_a_star_may_stand_for_a_folder(tmp_path: Path) -> None:
+    for name in ("2", "10"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "rgb.png").touch()
+    assert list(files.matching(tmp_path, "*/rgb.png", "color")) == ["2", "10"]
+
+
+@given(st.lists(st.integers(0, 10**9), unique=True))
+def test_natural_order_is_the_order_of_the_numbers(values: list[int]) -> None:
+    assert sorted((f"frame-{v}.color" for v in values), key=files.natural) == [
+        f"frame-{v}.color" for v in sorted(values)
+    ]
+
+
+def test_the_frame_number_is_the_last_one_in_a_name() -> None:
+    assert files.frame_number("cam2_000012") == 12
+    assert files.frame_number("left") is None
+
+
+def test_frames_without_a_partner_are_named(tmp_path: Path) -> None:
+    color = {str(i): tmp_path for i in range(10)}
+    depth = {str(i): tmp_path for i in (0, 2)}
+    with pytest.raises(BadData) as error:
+        files.paired(tmp_path, {"color": color, "depth": depth})
+    assert "frame 1, 3, 4, 5, 6 and 3 more: expected a depth file for every frame, got none for 8 of 10" in str(
+        error.value
+    )
+
+
+def test_an_empty_and_a_huge_file_are_refused_before_they_are_read(tmp_path: Path) -> None:
+    (tmp_path / "empty").touch()
+    (tmp_path / "huge").write_bytes(b"0" * 11)
+    with pytest.raises(BadData, match="expected some bytes, got an empty file"):
+        files.read_bytes(tmp_path / "empty")
+    with pytest.raises(BadData, match="expected at most 10 bytes, got 11"):
+        files.read_bytes(tmp_path / "huge", limit=10)
+
+
+@pytest.mark.parametrize("content", [b"\x80\x81\x82", b"1 2\x003"])
+def test_a_binary_file_is_no_text(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "pose.txt").write_bytes(content)
+    with pytest.raises(BadData, match="content: expected text, got a binary file"):
+        files.read_lines(tmp_path / "pose.txt")
+
+
+def test_comments_and_blank_lines_say_nothing(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_bytes(b"\xef\xbb\xbf# title\r\n\r\n1 2 # two\r\n 3\r\n")
+    assert files.read_lines(tmp_path / "a.txt") == ["1 2", "3"]
+
+
+def test_words_are_no_numbers(tmp_path: Path) -> None:
+    assert files.numbers(tmp_path, "1, 2e-3  nan")[:2] == [1.0, 0.002]
+    with pytest.raises(BadData, match="content: expected numbers, got '1 __import__'"):
+        files.numbers(tmp_path, "1 __import__")
