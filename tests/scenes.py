@@ -1,6 +1,7 @@
 """Analytic scenes: spheres, boxes and a table, ray-cast exactly. What the tests hold the pipeline against.
 
-Every ray has a z component of 1 in the camera frame, so the ray parameter of a hit *is* its z-depth and no conversion can be got wrong.
+Every ray has a z component of 1 in the camera frame, so the ray parameter of a hit *is* its z-depth and no conversion
+can be got wrong.
 """
 
 from __future__ import annotations
@@ -85,7 +86,8 @@ class Box:
 
 @dataclass(frozen=True)
 class Plane:
-    """The plane n.x + d = 0, seen from both sides; limited to a disc of `extent` metres around `centre` when that is finite."""
+    """The plane n.x + d = 0, seen from both sides; limited to a disc of `extent` metres around `centre` when that is
+    finite."""
 
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
     offset: float = 0.0
@@ -194,13 +196,14 @@ class Scene:
     def surface_distance(self, points_world: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
         """Unsigned distance to the nearest surface, metres.
 
-        A body that stands on the table hides its own underside and the table below it: no camera sees those, so for points near them the
-        distance is to a surface that exists but is invisible. It never makes a wrong point look better than one body length.
+        A body that stands on the table hides its own underside and the table below it: no camera sees those, but they
+        exist, and the distance is to them where they are nearest.
         """
         return np.stack([body.distance(points_world) for body in self.background + self.objects]).min(axis=0)
 
     def instance_at(self, points_world: Float[ndarray, "n 3"], table_margin: float = 0.0) -> Int[ndarray, "n"]:
-        """The instance whose surface is nearest; the background wins when it is nearer by `table_margin` metres or less than the object."""
+        """The instance whose surface is nearest; the background wins when it is nearer by `table_margin` metres or
+        less than the object."""
         background = np.stack([body.distance(points_world) for body in self.background]).min(axis=0)
         if not self.objects:
             return np.zeros(len(points_world), np.int32)
@@ -215,7 +218,8 @@ def texture(
     colour: Float[ndarray, "3"] | Int[ndarray, "3"],
     seed: int,
 ) -> UInt8[ndarray, "n 3"]:
-    """Smooth, non-repeating colours fixed to the surface: sums of sine waves of 1 to 8 cm, the same for the same seed."""
+    """Smooth, non-repeating colours fixed to the surface: sums of sine waves of 1 to 8 cm, the same for the same
+    seed."""
     rng = np.random.default_rng(seed)
     waves = rng.normal(size=(6, 3))
     waves *= (2 * np.pi / rng.uniform(0.01, 0.08, size=6) / np.linalg.norm(waves, axis=1))[:, None]
@@ -235,7 +239,8 @@ def look_at(
     target: Sequence[float] | Float[ndarray, "3"] = (0.0, 0.0, 0.0),
     up: Sequence[float] | Float[ndarray, "3"] = (0.0, 0.0, 1.0),
 ) -> Float[ndarray, "4 4"]:
-    """`world_from_camera` of a camera at `eye` that looks at `target`; `up` in the world is up in the image (y points down)."""
+    """`world_from_camera` of a camera at `eye` that looks at `target`; `up` in the world is up in the image (y points
+    down)."""
     forward = np.asarray(target, float) - np.asarray(eye, float)
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, np.asarray(up, float))
@@ -273,7 +278,8 @@ def orbit(
 def tabletop(n_objects: int, seed: int = 0, spread: float = 0.2, gap: float = 0.05) -> Scene:
     """Boxes and spheres of 4 to 12 cm on a table z = 0, at least `gap` metres apart.
 
-    Spheres stand half way in the table: a whole sphere touches it in a point, where no fusion of images can tell the two apart.
+    Spheres stand half way in the table: a whole sphere touches it in a point, where no fusion of images can tell the
+    two apart.
     """
     rng = np.random.default_rng(seed)
     bodies: list[Body] = []

@@ -1,0 +1,65 @@
+"""Cleaning of measured depth images."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32
+from numpy import ndarray
+
+DEPTH_SLACK = (0.01, 0.01)
+"""Two neighbours on one surface differ by less than a + b z: 1 cm of noise and slope up close, and the noise that
+grows with the distance."""
+
+
+def in_range(depth: Float32[ndarray, "h w"], near: float, far: float) -> Float32[ndarray, "h w"]:
+    """The depth with everything outside [near, far] taken for not measured.
+
+    Args:
+        near: metres; what is nearer is the robot's own gripper.
+        far: metres; what is farther is noise.
+
+    Raises:
+        ValueError: `near` is negative or not below `far`.
+    """
+    if not 0 <= near < far:
+        raise ValueError(f"depth range: expected 0 <= near < far metres, got near {near}, far {far}")
+    # NaN and infinity fail both comparisons, so files that mark missing depth with them are treated alike.
+    return np.where((depth >= near) & (depth <= far), depth, np.float32(0))
+
+
+def flying(
+    depth: Float32[ndarray, "h w"], radius: int = 2, slack: tuple[float, float] = DEPTH_SLACK
+) -> Bool[ndarray, "h w"]:
+    """Measurements that belong to no surface: they hang between a near and a far one at its edge, or stand alone.
+
+    A pixel on a surface agrees with the nearest or with the farthest of its measured neighbours, on whichever side of
+    an edge it is; so
+    parts one pixel thin stay whole, which a cut along every edge would eat. What agrees with neither is no surface.
+
+    Args:
+        radius: pixels; 2 reaches across the gaps of depth that was registered to colour and so covers every other
+            pixel.
+        slack: (a, b) of the a + b z metres by which neighbours on one surface may differ.
+    """
+    if radius < 1:
+        raise ValueError(f"radius: expected at least 1 pixel, got {radius}")
+    around = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+    around[radius, radius] = 0
+    measured = depth > 0
+    far_away = np.float32(np.inf)
+    nearest = cv2.erode(
+        np.where(measured, depth, far_away), around, borderType=cv2.BORDER_CONSTANT, borderValue=float("inf")
+    )
+    farthest = cv2.dilate(depth, around, borderType=cv2.BORDER_CONSTANT, borderValue=0.0)
+    tolerance = np.float32(slack[0]) + np.float32(slack[1]) * depth
+    # A pixel with no measured neighbour has nearest = infinity and farthest = 0, and agrees with neither.
+    return measured & (np.abs(depth - nearest) > tolerance) & (np.abs(depth - farthest) > tolerance)
+
+
+def cleaned(
+    depth: Float32[ndarray, "h w"], near: float, far: float, slack: tuple[float, float] = DEPTH_SLACK
+) -> Float32[ndarray, "h w"]:
+    """Depth within [near, far] metres and without flying pixels; what is dropped becomes 0, not measured."""
+    kept = in_range(depth, near, far)
+    return np.where(flying(kept, slack=slack), np.float32(0), kept)

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bask_data.core.depth import cleaned, flying, in_range
+
+
+def two_walls(near: float = 0.5, far: float = 0.8) -> np.ndarray:
+    """A near wall on the left, a far one on the right, the edge between columns 9 and 10."""
+    depth = np.full((20, 20), near, np.float32)
+    depth[:, 10:] = far
+    return depth
+
+
+def test_a_clean_step_between_two_surfaces_is_left_alone() -> None:
+    assert not flying(two_walls()).any()
+
+
+def test_pixels_hanging_between_two_surfaces_are_found_and_no_others() -> None:
+    depth = two_walls()
+    depth[:, 10] = np.linspace(0.56, 0.74, 20)
+    expected = np.zeros((20, 20), bool)
+    expected[:, 10] = True
+    assert np.array_equal(flying(depth), expected)
+
+
+def test_a_ramp_two_pixels_wide_is_found() -> None:
+    depth = two_walls()
+    depth[:, 10], depth[:, 11] = 0.6, 0.7
+    assert flying(depth)[:, 10:12].all()
+    assert not flying(depth)[:, [9, 12]].any()
+
+
+def test_a_wire_one_pixel_wide_in_front_of_a_wall_stays() -> None:
+    depth = np.full((20, 20), 0.8, np.float32)
+    depth[:, 7] = 0.5
+    assert not flying(depth).any()
+
+
+def test_a_lone_speckle_goes_in_front_behind_and_amid_nothing() -> None:
+    depth = np.full((20, 30), 0.8, np.float32)
+    depth[5, 5], depth[10, 10] = 0.5, 1.2
+    depth[:, 15:] = 0
+    depth[10, 22] = 0.7
+    assert set(zip(*np.nonzero(flying(depth)), strict=True)) == {(5, 5), (10, 10), (10, 22)}
+
+
+def test_steep_surfaces_and_sparse_depth_stay() -> None:
+    v, u = np.mgrid[:60, :80]
+    slope_of_80_degrees = (0.5 + 0.0008 * np.tan(np.deg2rad(80)) * u).astype(np.float32)
+    assert not flying(slope_of_80_degrees).any()
+    every_other_pixel = np.where((u % 2 == 0) & (v % 2 == 0), slope_of_80_degrees, np.float32(0))
+    assert not flying(every_other_pixel).any()
+
+
+def test_range_cut_turns_what_is_outside_or_no_number_into_not_measured() -> None:
+    depth = np.array([[0.0, 0.05, 0.1, 2.0, 2.1, np.nan, np.inf]], np.float32)
+    assert np.array_equal(in_range(depth, 0.1, 2.0), np.array([[0, 0, 0.1, 2.0, 0, 0, 0]], np.float32))
+
+
+def test_cleaned_changes_nothing_but_what_it_drops_and_not_its_argument() -> None:
+    depth = two_walls()
+    depth[4, 10] = 0.65
+    depth[:, 0] = 0.05
+    before = depth.copy()
+    kept = cleaned(depth, 0.1, 2.0)
+    assert np.array_equal(depth, before)
+    assert kept[4, 10] == 0
+    assert (kept[:, 0] == 0).all()
+    assert np.array_equal(kept[kept > 0], depth[kept > 0])
+    assert (kept > 0).sum() == 20 * 19 - 1
+
+
+@pytest.mark.parametrize(("near", "far"), [(0.5, 0.5), (-0.1, 1.0), (1.0, 0.5)])
+def test_a_range_that_holds_nothing_is_refused(near: float, far: float) -> None:
+    with pytest.raises(ValueError, match="expected 0 <= near < far metres, got near"):
+        in_range(two_walls(), near, far)
+
+
+def test_a_radius_below_a_pixel_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected at least 1 pixel, got 0"):
+        flying(two_walls(), radius=0)
