@@ -1,7 +1,7 @@
 """Artifacts: typed, immutable directories that appear whole or not at all.
 
-An artifact is a Zarr v3 group with a manifest, `artifact.json`, that names what made it and holds the SHA-256 of every other file. The manifest is
-deterministic: no time, host or user in it, so equal inputs give equal bytes on any machine.
+An artifact is a Zarr v3 group with a manifest, `artifact.json`, that names what made it and holds the SHA-256 of every
+other file. The manifest is deterministic: no time, host or user in it, so equal inputs give equal bytes.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class ArraySpec:
     """What a schema says of one array.
 
     Args:
-        dims: names of the axes; the same name means the same length, within a camera for t, h, w and within the artifact for others.
+        dims: names of the axes; the same name means the same length (t, h, w: within a camera).
         optional: the array may be absent.
     """
 
@@ -299,7 +299,7 @@ def publish(scratch: Path, target: Path) -> None:
 
 
 def _exchange(scratch: Path, target: Path) -> None:
-    """Swap two directories. Where the file system cannot, the old one is parked, and `recover` brings it back after a kill in between."""
+    """Swap two directories. Where the file system cannot, the old one is parked; `recover` undoes a kill in between."""
     libc = ctypes.CDLL(None, use_errno=True)
     if hasattr(libc, "renameat2"):
         done = libc.renameat2(
@@ -337,7 +337,7 @@ def recover(root: Path) -> None:
 
 
 def _is_abandoned(name: str) -> bool:
-    """Whether the process that made this scratch directory is gone. One of another host may be alive: leave it alone."""
+    """Whether the process that made this scratch directory is gone. One of another host may be alive."""
     parts = name.split("~")
     if len(parts) != 4 or parts[1] != socket.gethostname() or not parts[2].isdigit():
         return False

@@ -1,4 +1,4 @@
-"""The command line: one command per declared stage, one `ingest` sub-command per format, and the dataset's commands. No logic."""
+"""The command line: a command per stage, an `ingest` sub-command per format, and the dataset's commands. No logic."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Print the 
         raise typer.Exit
 
 
-# Options from models ---------------------------------------------------------------------------------------------------------
+# Options from models --------------------------------------------------------------------------------------------------
 
 
 def _parameter(
@@ -189,7 +189,7 @@ def _model_values(model: type[Params], options: dict[str, Any], where: str) -> P
         ) from error
 
 
-# Stages ----------------------------------------------------------------------------------------------------------------------
+# Stages ---------------------------------------------------------------------------------------------------------------
 
 
 @contextmanager
@@ -340,7 +340,7 @@ for _stage in STAGES:
     _add_stage(_stage)
 
 
-# Ingest ----------------------------------------------------------------------------------------------------------------------
+# Ingest ---------------------------------------------------------------------------------------------------------------
 
 
 def _add_format(format: Format) -> None:
@@ -388,7 +388,7 @@ for _format in FORMATS:
     _add_format(_format)
 
 
-# The dataset -----------------------------------------------------------------------------------------------------------------
+# The dataset ----------------------------------------------------------------------------------------------------------
 
 
 @app.command()
@@ -473,7 +473,8 @@ def info(root: Root, json_: Json = False) -> None:
     dataset = Dataset(root)
     file = dataset.file
     say(
-        f"{file.name}: {len(file.scenes)} scenes, {len(file.demonstrations)} demonstrations, licence {file.licence or 'not stated'}"
+        f"{file.name}: {len(file.scenes)} scenes, {len(file.demonstrations)} demonstrations, "
+        f"licence {file.licence or 'not stated'}"
     )
     rows = []
     for artifact in artifacts_on_disk(dataset):
@@ -489,9 +490,8 @@ def info(root: Root, json_: Json = False) -> None:
             }
         )
         cameras = ", ".join(f"{name} {size}" for name, size in rows[-1]["cameras"].items())  # type: ignore[attr-defined]
-        say(
-            f"  {rows[-1]['artifact']:<40} {total_bytes(manifest.files) / 1e6:9.1f} MB  {manifest.digest[:12]}  {cameras}"
-        )
+        megabytes = total_bytes(manifest.files) / 1e6
+        say(f"  {rows[-1]['artifact']:<40} {megabytes:9.1f} MB  {manifest.digest[:12]}  {cameras}")
     for name, scenes in file.splits.model_dump().items():
         if scenes:
             say(f"  {name}: {', '.join(scenes)}")

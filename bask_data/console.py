@@ -1,4 +1,4 @@
-"""What a person sees on the terminal: progress with an estimate, outcomes, errors. All of it on stderr; stdout is for `--json`."""
+"""What a person sees: progress with an estimate, outcomes, errors. All on stderr; stdout is for `--json`."""
 
 from __future__ import annotations
 

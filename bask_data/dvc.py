@@ -1,7 +1,8 @@
 """DVC: `dvc.yaml` and `params.yaml`, rendered from the declared stages and the dataset's items.
 
-DVC takes no wildcards, so every item has its own stage. It does not see Python code, so the stage's version stands in the command. Splits are tracked as
-a parameter, not `dataset.json` as a dependency: adding a scene must not make the other scenes stale.
+DVC takes no wildcards, so every item has its own stage. It does not see Python code, so the stage's version stands in
+the command. Splits are tracked as a parameter, not `dataset.json` as a dependency: adding a scene must not make the
+other scenes stale.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from bask_data.kinds import Demonstration, Scan
 from bask_data.stage import Config, Stage, Task, plan, resolve
 
 _HEADER = "# Written by `bask-data dvc`; change params.yaml or dataset.json, then run it again.\n"
-_PARAMS_HEADER = "# Parameters of every stage. Change values freely; a section `stage@name` holds what differs for one item or variant.\n"
+_PARAMS_HEADER = "# Parameters of every stage. A section `stage@name` holds what differs for one item or variant.\n"
 
 
 def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[str, str]:

@@ -1,8 +1,9 @@
 """Stages: one function that makes one kind of artifact. Everything else is read off its signature.
 
-A parameter annotated with a kind is an input: of the same item if the kind has the stage's scope, the dataset's one if the kind belongs to the dataset,
-and all items' if it is `list[Kind]`. `params` holds what changes the result, `out` is the empty directory to fill, `Splits` gives the dataset's
-splits. Exactly one stage makes a kind, so the graph needs no names.
+A parameter annotated with a kind is an input: of the same item if the kind has the stage's scope, the dataset's one if
+the kind belongs to the dataset, and all items' if it is `list[Kind]`. `params` holds what changes the result, `out` is
+the empty directory to fill, `Splits` gives the dataset's splits. Exactly one stage makes a kind, so the graph needs no
+names.
 """
 
 from __future__ import annotations
@@ -256,7 +257,7 @@ def plan(
 
     Args:
         only: names of items; empty means all.
-        variant_inputs: variant of each input kind that has variants; without an entry, as `dataset.json` says, else the variant's own name.
+        variant_inputs: variant of each input kind that has them; else as `dataset.json` says, else `variant`.
     """
     makes = stage.makes
     items = dataset.items(makes.scope) if makes.scope != "dataset" else [""]
@@ -438,7 +439,7 @@ def _fill_resumable(task: Task, key: str, fill: Callable[[Path], Manifest]) -> M
 
 
 def record(root: Path, target: Path, begun: float, key: str) -> None:
-    """Write who made an artifact, when, where and at what cost; outside it, so that its digest does not depend on the machine."""
+    """Write who made an artifact, when, where and at what cost; outside it, so that its digest does not depend on it."""
     relative = target.relative_to(root)
     write_json_atomically(
         root / "provenance" / relative.parent / f"{relative.name}.json",

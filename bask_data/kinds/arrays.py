@@ -88,7 +88,8 @@ class FrameWriter:
         """Add the next frame."""
         if frame.shape != self._buffer.shape[1:] or frame.dtype != self._buffer.dtype:
             raise ValueError(
-                f"{self._name}: expected a frame {self._buffer.shape[1:]} {self._buffer.dtype}, got {frame.shape} {frame.dtype}"
+                f"{self._name}: expected a frame {self._buffer.shape[1:]} {self._buffer.dtype}, "
+                f"got {frame.shape} {frame.dtype}"
             )
         if self._n_written + self._n_buffered >= self._n_frames:
             raise ValueError(f"{self._name}: more than the {self._n_frames} frames that were announced")

@@ -50,7 +50,7 @@ class CameraMasks:
 
 
 class VisibleMasks(Artifact):
-    """Visible (modal) masks of every object in every frame of a scan. They are disjoint, so one label image says all."""
+    """Visible (modal) masks of all objects in all frames of a scan; being disjoint, they are one label image."""
 
     kind = "masks"
     scope = "scene"

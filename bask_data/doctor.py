@@ -1,0 +1,307 @@
+"""What this machine lacks, and the line that brings it.
+
+Needs nothing but the standard library to be imported, because set-up asks it before anything else is installed:
+`python3 -m bask_data.doctor --missing-packages` prints the Debian packages to install.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+
+OLDEST_PYTHON = (3, 11)
+NEWEST_PYTHON = (3, 13)
+
+# What the wheels link to and do not carry; Open3D needs all of them. A desktop has them, a server or a container has not.
+PACKAGE_OF_LIBRARY = {
+    "libEGL.so.1": "libegl1",
+    "libGL.so.1": "libgl1",
+    "libX11.so.6": "libx11-6",
+    "libidn2.so.0": "libidn2-0",
+    "libstdc++.so.6": "libstdc++6",
+    "libudev.so.1": "libudev1",
+    "libusb-1.0.so.0": "libusb-1.0-0",
+    "libz.so.1": "zlib1g",
+}
+
+# Modules that load compiled code, which can fail or crash where the distribution is installed all right.
+PROBED_MODULES = ("cv2", "numba", "open3d", "pyarrow", "pycolmap", "sklearn", "torch", "zarr")
+
+# Distributions that put files in the same place; the one installed last wins, and uninstalling either breaks the other.
+RIVALS = {
+    "open3d": ("open3d", "open3d-cpu"),
+    "opencv-python-headless": (
+        "opencv-python-headless",
+        "opencv-python",
+        "opencv-contrib-python",
+        "opencv-contrib-python-headless",
+    ),
+}
+
+FREE_BYTES_WANTED = 5 * 10**9
+MEMORY_BYTES_WANTED = 4 * 10**9
+_PROBE_SECONDS = 120
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing looked at. `needed` ones that are not `ok` keep bask-data from working."""
+
+    name: str
+    ok: bool
+    found: str
+    needed: bool = True
+    fix: str = ""
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What a fresh interpreter said."""
+
+    ok: bool
+    output: str
+    fault: str = ""
+
+
+def checks(folder: Path | None = None) -> list[Check]:
+    """Everything there is to know of this machine before work starts, with datasets going to `folder`."""
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        modules = list(pool.map(module_check, PROBED_MODULES))
+    return [
+        python_check(sys.version_info[:2]),
+        *library_checks(missing_libraries()),
+        *distribution_checks(metadata.requires("bask-data") or [], installed_versions()),
+        *rival_checks(installed_versions()),
+        *modules,
+        cuda_check(probe(_ASK_TORCH), nvidia_driver_version()),
+        *optional_checks(installed_versions()),
+        disk_check(folder or Path.cwd()),
+        memory_check(),
+    ]
+
+
+def missing(found: Iterable[Check]) -> list[Check]:
+    """The needed things that are not there; with any of them the exit code is 5."""
+    return [check for check in found if check.needed and not check.ok]
+
+
+def render(found: Iterable[Check]) -> str:
+    """A line a check, and below it what mends it."""
+    lines = []
+    for check in found:
+        mark = "ok     " if check.ok else "MISSING" if check.needed else "note   "
+        lines.append(f"{mark}  {check.name}: {check.found}")
+        if check.fix and not check.ok:
+            lines.append(f"         fix: {check.fix}")
+    return "\n".join(lines)
+
+
+def as_json(found: Iterable[Check]) -> str:
+    """The same for scripts."""
+    return json.dumps([asdict(check) for check in found], indent=2)
+
+
+def python_check(version: tuple[int, ...]) -> Check:
+    """The interpreter is one that everything we need has wheels for."""
+    wanted = f"{_dotted(OLDEST_PYTHON)} to {_dotted(NEWEST_PYTHON)}"
+    ok = OLDEST_PYTHON <= version <= NEWEST_PYTHON
+    return Check("python", ok, platform.python_version(), fix=f"make setup PYTHON=... with Python {wanted}")
+
+
+def missing_libraries() -> list[str]:
+    """Shared libraries the dynamic linker cannot load. Asked of a fresh process: loading a library can crash."""
+    if sys.platform != "linux":
+        return []
+    code = (
+        "import ctypes, sys\nfor name in sys.argv[1:]:\n    try: ctypes.CDLL(name)\n    except OSError: print(name)\n"
+    )
+    answer = probe(code, *PACKAGE_OF_LIBRARY)
+    return answer.output.split() if answer.ok else []
+
+
+def library_checks(missing_names: Iterable[str]) -> list[Check]:
+    """One check that says what to install for all missing libraries at once."""
+    names = sorted(missing_names)
+    if not names:
+        return [Check("system libraries", True, "all found")]
+    packages = " ".join(sorted({PACKAGE_OF_LIBRARY[name] for name in names}))
+    return [
+        Check(
+            "system libraries",
+            False,
+            f"cannot load {', '.join(names)}",
+            fix=f"sudo apt-get install --no-install-recommends {packages}",
+        )
+    ]
+
+
+def installed_versions() -> dict[str, str]:
+    """Version by distribution name, in lower case with dashes."""
+    return {
+        (distribution.metadata["Name"] or "").lower().replace("_", "-"): distribution.version
+        for distribution in metadata.distributions()
+    }
+
+
+def distribution_checks(requirements: Iterable[str], installed: dict[str, str]) -> list[Check]:
+    """Every Python distribution we need is there, at a version we can use."""
+    from packaging.requirements import Requirement  # itself one of the distributions that may be missing
+
+    found = []
+    for text in sorted(requirements):
+        requirement = Requirement(text)
+        if requirement.marker is not None and not requirement.marker.evaluate({"extra": ""}):
+            continue
+        name = requirement.name.lower()
+        version = next((installed[rival] for rival in RIVALS.get(name, (name,)) if rival in installed), None)
+        ok = version is not None and requirement.specifier.contains(version, prereleases=True)
+        wanted = f"{requirement.name}{requirement.specifier}"
+        found.append(Check(name, ok, version or "not installed", fix=f"pip install '{wanted}'"))
+    return found
+
+
+def rival_checks(installed: dict[str, str]) -> list[Check]:
+    """No two distributions fight for one import name."""
+    found = []
+    for chosen, rivals in RIVALS.items():
+        there = [name for name in rivals if name in installed]
+        if len(there) > 1:
+            fix = f"pip uninstall -y {' '.join(there)} && pip install {chosen}"
+            found.append(Check(f"one {chosen}", False, f"{' and '.join(there)} overwrite each other", fix=fix))
+    return found
+
+
+def module_check(module: str) -> Check:
+    """The module can be imported."""
+    answer = probe(f"import {module}")
+    fix = ""
+    library = next((name for name in PACKAGE_OF_LIBRARY if name in answer.fault), None)
+    if library:
+        fix = f"sudo apt-get install --no-install-recommends {PACKAGE_OF_LIBRARY[library]}"
+    elif not answer.ok:
+        fix = f"pip install --force-reinstall --no-deps {module}, and look at: {sys.executable} -c 'import {module}'"
+    return Check(f"import {module}", answer.ok, "works" if answer.ok else answer.fault, fix=fix)
+
+
+_ASK_TORCH = """
+import json, torch
+cuda = torch.cuda.is_available()
+name = torch.cuda.get_device_name(0) if cuda else ""
+print(json.dumps({"version": torch.__version__, "built_for": torch.version.cuda, "cuda": cuda, "name": name}))
+"""
+
+
+def cuda_check(torch_says: Probe, driver: str | None) -> Check:
+    """A GPU is used where there is one; without one everything runs on the CPU."""
+    if not torch_says.ok:
+        return Check("GPU", False, "cannot ask torch", needed=False)
+    torch = json.loads(torch_says.output)
+    if torch["cuda"]:
+        return Check("GPU", True, f"{torch['name']}, CUDA {torch['built_for']}", needed=False)
+    if driver is None:
+        return Check("GPU", True, "none; training runs on the CPU", needed=False)
+    if torch["built_for"] is None:
+        fix = "pip install --force-reinstall torch, from an index with its CUDA builds"
+        return Check("GPU", False, f"driver {driver}, but torch {torch['version']} is a CPU build", False, fix)
+    fix = f"update the NVIDIA driver to one for CUDA {torch['built_for']}, or install torch for an older CUDA"
+    return Check("GPU", False, f"torch cannot use it with driver {driver}", False, fix)
+
+
+def nvidia_driver_version() -> str | None:
+    """The version of the NVIDIA kernel driver, None without one."""
+    if shutil.which("nvidia-smi") is None:
+        return None
+    command = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=30)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    versions = answer.stdout.split()
+    return versions[0] if answer.returncode == 0 and versions else None
+
+
+def optional_checks(installed: dict[str, str]) -> list[Check]:
+    """What only some commands need."""
+    git = shutil.which("git")
+    return [
+        Check("git", git is not None, git or "not found", False, "sudo apt-get install git, for DVC pipelines"),
+        _extra_check("dvc", "dvc", "to run pipelines with `dvc repro`", installed),
+        _extra_check("distributed", "cluster", "for --cluster", installed),
+    ]
+
+
+def _extra_check(name: str, extra: str, purpose: str, installed: dict[str, str]) -> Check:
+    version = installed.get(name)
+    return Check(
+        name, version is not None, version or "not installed", False, f"pip install 'bask-data[{extra}]', {purpose}"
+    )
+
+
+def disk_check(folder: Path) -> Check:
+    """Room for a few scenes where the dataset goes."""
+    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    free = shutil.disk_usage(existing).free
+    fix = "make room, or put the dataset on another disk: a scene of 500 frames takes about 1 GB with all that is made of it"
+    return Check("disk", free >= FREE_BYTES_WANTED, f"{free / 1e9:.1f} GB free at {existing}", needed=False, fix=fix)
+
+
+def memory_check() -> Check:
+    """Enough memory for one job."""
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    found = f"{total / 1e9:.1f} GB, {cores} cores"
+    return Check(
+        "memory", total >= MEMORY_BYTES_WANTED, found, needed=False, fix="keep to --jobs 1 and a larger voxel size"
+    )
+
+
+def probe(code: str, *arguments: str) -> Probe:
+    """Run Python code in a fresh interpreter, so that what crashes there does not take us along."""
+    # `-P`: a file named torch.py in the current folder must not be taken for torch.
+    command = [sys.executable, "-P", "-c", code, *arguments]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=_PROBE_SECONDS)
+    except subprocess.TimeoutExpired:
+        return Probe(False, "", f"no answer in {_PROBE_SECONDS} s")
+    if answer.returncode < 0:
+        return Probe(False, answer.stdout, f"crashed with {_signal_name(-answer.returncode)}")
+    if answer.returncode > 0:
+        said = answer.stderr.strip().splitlines()
+        return Probe(False, answer.stdout, said[-1] if said else f"exit code {answer.returncode}")
+    return Probe(True, answer.stdout)
+
+
+def _signal_name(number: int) -> str:
+    try:
+        name = signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+    return f"{name} (a wheel built for a newer CPU?)" if name == "SIGILL" else name
+
+
+def _dotted(version: tuple[int, ...]) -> str:
+    return ".".join(map(str, version))
+
+
+def main(arguments: list[str]) -> int:
+    """What set-up asks, with a Python that has nothing installed yet."""
+    if arguments == ["--missing-packages"]:
+        print(*sorted({PACKAGE_OF_LIBRARY[name] for name in missing_libraries()}))
+        return 0
+    found = checks()
+    print(render(found))
+    return 5 if missing(found) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
