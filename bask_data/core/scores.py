@@ -1,0 +1,218 @@
+"""How good masks and keypoints are, held against what is known of a recording: figures for reports and evaluations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+
+from bask_data.core.geometry import in_image, invert_rigid, transform
+
+N_LABELS = 256
+"""Labels and instances are bytes; 0 is background in both."""
+OUTSIDE = -1
+"""The label that stands for a pixel outside the image."""
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """Figures of n numbers; NaN where there are none."""
+
+    n: int
+    median: float
+    mean: float
+    p90: float
+    largest: float
+
+
+def distribution(values: Float[ndarray, "..."]) -> Distribution:
+    """Median, mean, 90th percentile and maximum of the finite values; `n` counts these."""
+    finite = values[np.isfinite(values)].astype(np.float64)
+    if not len(finite):
+        return Distribution(0, np.nan, np.nan, np.nan, np.nan)
+    return Distribution(
+        n=len(finite),
+        median=float(np.median(finite)),
+        mean=float(finite.mean()),
+        p90=float(np.percentile(finite, 90)),
+        largest=float(finite.max()),
+    )
+
+
+def overlap(labels: UInt8[ndarray, "h w"], instances: UInt8[ndarray, "h w"]) -> Int[ndarray, "256 256"]:
+    """Pixels by true label (rows) and found instance (columns). Tables of several frames may be added."""
+    both = labels.astype(np.int64) * N_LABELS + instances
+    return np.bincount(both.ravel(), minlength=N_LABELS * N_LABELS).reshape(N_LABELS, N_LABELS)
+
+
+@dataclass(frozen=True)
+class LabelMatch:
+    """The instance that covers a label best; instance 0 and IoU 0 if none touches it."""
+
+    label: int
+    instance: int
+    iou: float
+    n_pixels: int
+    """Pixels with this label, over all frames."""
+
+
+def best_instances(table: Int[ndarray, "256 256"]) -> list[LabelMatch]:
+    """For each label that occurs, the instance of largest intersection over union, over all frames at once.
+
+    An instance may be the best of several labels: objects that were not told apart show in their low IoU.
+
+    Args:
+        table: of `overlap`, summed over frames.
+    """
+    of_label, of_instance = table.sum(axis=1), table.sum(axis=0)
+    union = of_label[:, None] + of_instance[None, :] - table
+    iou = np.where(union > 0, table / np.maximum(union, 1), 0.0)
+    iou[:, 0] = 0.0
+    best = iou.argmax(axis=1)
+    return [
+        LabelMatch(int(label), int(best[label]), float(iou[label, best[label]]), int(of_label[label]))
+        for label in np.flatnonzero(of_label)
+        if label != 0
+    ]
+
+
+def label_at(labels: UInt8[ndarray, "h w"], pixel: Float[ndarray, "*n 2"]) -> Int[ndarray, "*n"]:
+    """The label of the nearest pixel; `OUTSIDE` where there is none or the pixel is NaN."""
+    height, width = labels.shape
+    inside = in_image(pixel, height, width)
+    nearest = np.rint(np.where(inside[..., None], pixel, 0)).astype(np.int64)
+    u, v = nearest[..., 0].clip(0, width - 1), nearest[..., 1].clip(0, height - 1)
+    return np.where(inside, labels[v, u].astype(np.int64), OUTSIDE)
+
+
+@dataclass(frozen=True)
+class Landing:
+    """Where k keypoints lie in one frame, by its labels."""
+
+    in_view: Bool[ndarray, "k"]
+    """Whether any pixel of the keypoint's own object is in the frame; the rest says something only where it is."""
+    label: Int[ndarray, "k"]
+    """The label under the keypoint, or `OUTSIDE`."""
+    exact: Bool[ndarray, "k"]
+    """Whether that is the keypoint's own object."""
+    near: Bool[ndarray, "k"]
+    """Whether the own object is within the tolerance."""
+    chance: Float[ndarray, "k"]
+    """The own object's share of the image: how often a pixel drawn blindly would lie on it."""
+
+
+def landing(
+    pixel: Float[ndarray, "k 2"],
+    own_label: Int[ndarray, "k"],
+    labels: UInt8[ndarray, "h w"],
+    tolerance_px: float,
+) -> Landing:
+    """Whether keypoints lie on the objects they belong to.
+
+    Args:
+        pixel: (u, v); NaN or outside the image is on nothing.
+        own_label: label of each keypoint's object; 0, unknown, is never in view.
+        tolerance_px: a keypoint this close to its object counts as near.
+
+    Raises:
+        ValueError: `tolerance_px` is negative.
+    """
+    if tolerance_px < 0:
+        raise ValueError(f"tolerance_px: expected >= 0 pixels, got {tolerance_px}")
+    share = np.bincount(labels.ravel(), minlength=N_LABELS) / labels.size
+    share[0] = 0.0
+    chance = share[own_label]
+    under = label_at(labels, pixel)
+    exact = (under == own_label) & (own_label > 0)
+    near = exact.copy()
+    for i in np.flatnonzero(~exact & (chance > 0) & np.isfinite(pixel).all(axis=1)):
+        near[i] = _distance_to_label(pixel[i], int(own_label[i]), labels, tolerance_px) <= tolerance_px
+    return Landing(in_view=chance > 0, label=under, exact=exact, near=near, chance=chance)
+
+
+def _distance_to_label(pixel: Float[ndarray, "2"], label: int, labels: UInt8[ndarray, "h w"], reach_px: float) -> float:
+    """Pixels to the nearest centre with this label, looking no farther than `reach_px`; infinity if there is none."""
+    height, width = labels.shape
+    u_low, v_low = np.maximum(np.floor(pixel - reach_px), 0).astype(np.int64)
+    u_high, v_high = np.minimum(np.ceil(pixel + reach_px) + 1, [width, height]).astype(np.int64)
+    if u_low >= u_high or v_low >= v_high:
+        return np.inf
+    v, u = np.nonzero(labels[v_low:v_high, u_low:u_high] == label)
+    if not len(u):
+        return np.inf
+    return float(np.hypot(u + u_low - pixel[0], v + v_low - pixel[1]).min())
+
+
+def place_elsewhere(
+    points_world: Float[ndarray, "*n 3"],
+    world_from_object: Float[ndarray, "4 4"],
+    elsewhere_from_object: Float[ndarray, "4 4"],
+) -> Float[ndarray, "*n 3"]:
+    """Where points fixed to an object lie in the world of another recording that shows it.
+
+    Args:
+        points_world: metres, world frame of the recording in which the object stands at `world_from_object`.
+        elsewhere_from_object: the same object's transform in the world of the other recording.
+    """
+    return transform(elsewhere_from_object @ invert_rigid(world_from_object), points_world)
+
+
+def position_error(mean: Float[ndarray, "t k 3"], place: Float[ndarray, "k 3"]) -> Float[ndarray, "t k"]:
+    """Metres between keypoints over time and where they truly stand still; NaN where either is unknown."""
+    return np.linalg.norm(mean.astype(np.float64) - place, axis=-1)
+
+
+def spread(covariance: Float[ndarray, "t k 3 3"]) -> Float[ndarray, "t k"]:
+    """Metres: the root of the covariance's trace, which is the root mean square distance from the mean."""
+    return np.sqrt(np.maximum(np.trace(covariance, axis1=-2, axis2=-1).astype(np.float64), 0.0))
+
+
+def step_length(mean: Float[ndarray, "t k 3"]) -> Float[ndarray, "t_minus_1 k"]:
+    """Metres each keypoint moves from a frame to the next. Where nothing moves, this is jitter."""
+    return np.linalg.norm(np.diff(mean.astype(np.float64), axis=0), axis=-1)
+
+
+@dataclass(frozen=True)
+class ObjectShares:
+    """How keypoints lie over many frames, as shares of the (frame, keypoint) combinations counted.
+
+    Counted are those whose own object is in the frame; `right`, `other`, `background` and `outside` add up to one.
+    """
+
+    n: int
+    right: float
+    near: float
+    other: float
+    background: float
+    outside: float
+    chance: float
+
+
+def object_shares(landings: Sequence[Landing], chosen: Bool[ndarray, "k"] | None = None) -> ObjectShares:
+    """Shares over frames and keypoints.
+
+    Args:
+        chosen: only these keypoints.
+    """
+    if not landings:
+        return ObjectShares(0, *[np.nan] * 6)
+    counted = np.stack([one.in_view for one in landings])
+    if chosen is not None:
+        counted &= chosen
+    n = int(counted.sum())
+    if not n:
+        return ObjectShares(0, *[np.nan] * 6)
+    exact = np.stack([one.exact for one in landings])[counted]
+    label = np.stack([one.label for one in landings])[counted]
+    return ObjectShares(
+        n=n,
+        right=float(exact.mean()),
+        near=float(np.stack([one.near for one in landings])[counted].mean()),
+        other=float(((label > 0) & ~exact).mean()),
+        background=float((label == 0).mean()),
+        outside=float((label == OUTSIDE).mean()),
+        chance=float(np.stack([one.chance for one in landings])[counted].mean()),
+    )

@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bask_data.core.geometry import transform
+from bask_data.core.scores import (
+    OUTSIDE,
+    best_instances,
+    distribution,
+    label_at,
+    landing,
+    object_shares,
+    overlap,
+    place_elsewhere,
+    position_error,
+    spread,
+    step_length,
+)
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def rigid(rng: np.random.Generator) -> np.ndarray:
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    result = np.eye(4)
+    result[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
+    result[:3, 3] = rng.normal(size=3)
+    return result
+
+
+def test_distribution_counts_finite_values_only():
+    found = distribution(np.array([[1.0, np.nan], [np.inf, 3.0]]))
+    assert (found.n, found.median, found.mean, found.largest) == (2, 2.0, 2.0, 3.0)
+
+
+def test_distribution_of_nothing_is_nan_and_counts_zero():
+    found = distribution(np.array([np.nan]))
+    assert found.n == 0
+    assert np.isnan([found.median, found.mean, found.p90, found.largest]).all()
+
+
+@given(SEEDS)
+def test_iou_is_that_of_counting_sets_of_pixels(seed):
+    rng = np.random.default_rng(seed)
+    labels = rng.choice(np.array([0, 7, 200], np.uint8), size=(2, 6, 5))
+    instances = rng.integers(0, 4, size=(2, 6, 5)).astype(np.uint8)
+    matches = best_instances(sum(overlap(a, b) for a, b in zip(labels, instances, strict=True)))
+    assert [match.label for match in matches] == sorted(set(np.unique(labels)) - {0})
+    for match in matches:
+        iou = {
+            i: ((labels == match.label) & (instances == i)).sum() / ((labels == match.label) | (instances == i)).sum()
+            for i in range(1, 4)
+            if (instances == i).any()
+        }
+        assert match.iou == pytest.approx(max(iou.values(), default=0.0))
+        assert match.n_pixels == (labels == match.label).sum()
+        if match.iou > 0:
+            assert iou[match.instance] == pytest.approx(match.iou)
+        else:
+            assert match.instance == 0
+
+
+def test_equal_images_have_iou_one_whatever_the_ids_are_called():
+    labels = np.array([[0, 3, 3], [9, 9, 0]], np.uint8)
+    renamed = np.array([[0, 2, 2], [1, 1, 0]], np.uint8)
+    assert [(m.label, m.instance, m.iou) for m in best_instances(overlap(labels, renamed))] == [
+        (3, 2, 1.0),
+        (9, 1, 1.0),
+    ]
+
+
+def test_a_label_on_background_only_has_no_instance():
+    [match] = best_instances(overlap(np.full((2, 2), 5, np.uint8), np.zeros((2, 2), np.uint8)))
+    assert (match.instance, match.iou) == (0, 0.0)
+
+
+def test_label_is_that_of_the_nearest_pixel_and_outside_beyond_the_edge():
+    labels = np.array([[1, 2], [3, 4]], np.uint8)
+    pixel = np.array([[0.4, 0.4], [0.6, 0.4], [-0.4, 1.4], [1.6, 0.0], [np.nan, 0.0], [1e9, 1e9]])
+    assert label_at(labels, pixel).tolist() == [1, 2, 3, OUTSIDE, OUTSIDE, OUTSIDE]
+
+
+@given(SEEDS, st.floats(0, 6))
+def test_near_is_the_distance_to_the_closest_pixel_of_the_object(seed, tolerance):
+    rng = np.random.default_rng(seed)
+    labels = (rng.random((9, 12)) < 0.05).astype(np.uint8) * 3
+    pixel = rng.uniform(-4, 14, size=(20, 2))
+    found = landing(pixel, np.full(20, 3), labels, tolerance)
+    v, u = np.nonzero(labels == 3)
+    if not len(u):
+        assert not found.in_view.any()
+        assert not found.near.any()
+        return
+    distance = np.hypot(pixel[:, :1] - u, pixel[:, 1:] - v).min(axis=1)
+    assert found.in_view.all()
+    assert (found.near == (found.exact | (distance <= tolerance))).all()
+    assert found.chance == pytest.approx(len(u) / labels.size)
+
+
+def test_landing_says_right_other_background_outside_and_skips_objects_out_of_view():
+    labels = np.zeros((4, 6), np.uint8)
+    labels[:, :2], labels[:, 4:] = 1, 2
+    pixel = np.array([[0, 0], [5, 0], [3, 0], [99, 0], [np.nan, 0], [0, 0], [0, 0]], float)
+    found = landing(pixel, np.array([1, 1, 1, 1, 1, 7, 0]), labels, 1.0)
+    assert found.in_view.tolist() == [True] * 5 + [False, False]
+    assert found.exact.tolist() == [True] + [False] * 6
+    shares = object_shares([found])
+    assert shares.n == 5
+    assert (shares.right, shares.other, shares.background, shares.outside) == (0.2, 0.2, 0.2, 0.4)
+    assert shares.chance == pytest.approx(1 / 3)
+
+
+def test_shares_of_chosen_keypoints_are_theirs_alone():
+    labels = np.array([[1, 1, 0]], np.uint8)
+    frames = [landing(np.array([[0.0, 0], [2.0, 0]]), np.array([1, 1]), labels, 0.0)] * 3
+    assert object_shares(frames, np.array([True, False])).right == 1.0
+    assert object_shares(frames, np.array([False, True])).right == 0.0
+    assert object_shares(frames, np.array([False, False])).n == 0
+    assert object_shares([]).n == 0
+
+
+def test_a_negative_tolerance_is_refused():
+    with pytest.raises(ValueError, match="tolerance_px: expected >= 0 pixels, got -1"):
+        landing(np.zeros((1, 2)), np.array([1]), np.ones((2, 2), np.uint8), -1.0)
+
+
+@given(SEEDS)
+def test_a_point_keeps_its_place_on_its_object(seed):
+    rng = np.random.default_rng(seed)
+    here, there, points = rigid(rng), rigid(rng), rng.normal(size=(5, 3))
+    assert place_elsewhere(transform(here, points), here, there) == pytest.approx(transform(there, points))
+
+
+def test_error_is_the_distance_and_unknown_where_truth_or_track_is():
+    mean = np.zeros((2, 3, 3), np.float32)
+    mean[1, 1] = np.nan
+    place = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 1.0], [np.nan] * 3])
+    error = position_error(mean, place)
+    assert error[:, 0].tolist() == [5.0, 5.0]
+    assert error[0, 1] == 1.0
+    assert np.isnan(error[1, 1])
+    assert np.isnan(error[:, 2]).all()
+
+
+def test_spread_is_the_root_mean_square_distance_of_samples_from_their_mean():
+    samples = np.random.default_rng(0).normal(size=(1000, 3)) * [0.01, 0.02, 0.05]
+    rms = np.sqrt(((samples - samples.mean(axis=0)) ** 2).sum(axis=1).mean())
+    assert spread(np.cov(samples.T, bias=True)[None, None]) == pytest.approx(rms)
+
+
+def test_step_is_how_far_the_mean_moved():
+    mean = np.cumsum(np.array([[[0.0, 0, 0]], [[3.0, 4, 0]], [[0.0, 0, 2]]]), axis=0).astype(np.float32)
+    assert step_length(mean)[:, 0].tolist() == [5.0, 2.0]
