@@ -22,7 +22,7 @@ from pathlib import Path
 OLDEST_PYTHON = (3, 11)
 NEWEST_PYTHON = (3, 13)
 
-# What the wheels link to and do not carry; Open3D needs all of them. A desktop has them, a server or a container has not.
+# What the wheels link to and do not carry; Open3D needs all of them. A desktop has them, a container often not.
 PACKAGE_OF_LIBRARY = {
     "libEGL.so.1": "libegl1",
     "libGL.so.1": "libgl1",
@@ -251,7 +251,7 @@ def disk_check(folder: Path) -> Check:
     """Room for a few scenes where the dataset goes."""
     existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     free = shutil.disk_usage(existing).free
-    fix = "make room, or put the dataset on another disk: a scene of 500 frames takes about 1 GB with all that is made of it"
+    fix = "make room, or put the dataset elsewhere: a scene of 500 frames takes about 1 GB with all that is made of it"
     return Check("disk", free >= FREE_BYTES_WANTED, f"{free / 1e9:.1f} GB free at {existing}", needed=False, fix=fix)
 
 

@@ -1,0 +1,54 @@
+# `make` alone says what there is. Everything runs in .venv, which `setup` makes and every other target brings up to date.
+
+VENV := .venv/bin
+# More test workers than this only fight for memory: each loads torch and Open3D.
+WORKERS ?= 4
+# Further arguments for pytest: make test ARGS="-k keypoints -x"
+ARGS ?=
+
+export PIP_DISABLE_PIP_VERSION_CHECK = 1
+
+.PHONY: help setup test test-slow demo check benchmark lock clean
+
+help:
+	@echo "make setup      .venv with the locked versions; system libraries too, or the command that brings them"
+	@echo "make demo       the whole pipeline on two shipped recordings; ends with build/demo/report.html"
+	@echo "make test       setup and the test suite"
+	@echo "make test-slow  the tests that take long"
+	@echo "make check      formatting, lint, types, layers, rendered files"
+	@echo "make benchmark  how fast each stage is, against a plain way of doing the same"
+	@echo "make lock       move requirements.lock to the newest versions"
+	@echo "make clean      remove build/ and caches, not .venv"
+
+setup:
+	@.ci/setup
+
+test: setup
+	$(VENV)/python -m pytest -n logical --maxprocesses $(WORKERS) --dist worksteal --durations 15 $(ARGS)
+
+test-slow: setup
+	$(VENV)/python -m pytest -m slow --durations 15 $(ARGS)
+
+demo: setup
+	$(VENV)/python pipelines/demo.py
+
+check: setup
+	$(VENV)/ruff format --check .
+	$(VENV)/ruff check .
+	$(VENV)/mypy
+	$(VENV)/lint-imports
+	$(VENV)/python -m bask_data.schemas --check
+	@set -e; for file in $(wildcard pipelines/*/dataset.json); do \
+		echo "$(VENV)/bask-data dvc $$(dirname $$file) --check"; \
+		$(VENV)/bask-data dvc $$(dirname $$file) --check; \
+	done
+
+benchmark: setup
+	$(VENV)/python benchmarks/run.py $(ARGS)
+
+lock: setup
+	$(VENV)/python .ci/lock.py
+
+clean:
+	rm -rf build dist .pytest_cache .hypothesis .ruff_cache .mypy_cache .import_linter_cache
+	find bask_data tests benchmarks pipelines .ci -name __pycache__ -type d -prune -exec rm -rf {} +
