@@ -76,7 +76,8 @@ class _Bar:
 
     def __init__(self) -> None:
         self._progress: Any = None
-        self._label, self._task = "", None
+        self._task: Any = None
+        self._label = ""
 
     def __call__(self, label: str, done: int, total: int | None) -> None:
         if self._progress is None:

@@ -439,7 +439,7 @@ def _fill_resumable(task: Task, key: str, fill: Callable[[Path], Manifest]) -> M
 
 
 def record(root: Path, target: Path, begun: float, key: str) -> None:
-    """Write who made an artifact, when, where and at what cost; outside it, so that its digest does not depend on it."""
+    """Write who made an artifact, when, where and at what cost; outside it, so that no digest depends on it."""
     relative = target.relative_to(root)
     write_json_atomically(
         root / "provenance" / relative.parent / f"{relative.name}.json",

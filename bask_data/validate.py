@@ -113,12 +113,13 @@ def _schema(artifact: Artifact, root: Path) -> Iterator[Problem]:
             continue
         camera = name.split("/")[0] if "{camera}/" + name.split("/", 1)[-1] in artifact.arrays else ""
         for dim, length in zip(spec.dims, shape, strict=True):
-            known = sizes.setdefault((camera if dim in "thw" else "", dim), (length, name))
-            expected = int(dim) if dim.isdigit() else known[0]
+            if dim.isdigit():
+                expected, reason = int(dim), ""
+            else:
+                expected, like = sizes.setdefault((camera if dim in "thw" else "", dim), (length, name))
+                reason = f"{dim} = {expected} as {like}"
             if length != expected:
-                yield Problem(
-                    f"{where}/{name}", f"shape: expected {dim} = {expected} as {known[1]}, got {length}.", fix
-                )
+                yield Problem(f"{where}/{name}", f"shape: expected {reason or expected}, got {length}.", fix)
         missing = [key for key in spec.attributes if key not in document.get("attributes", {})]
         if missing:
             yield Problem(f"{where}/{name}", f"attributes: expected {', '.join(missing)}.", fix)

@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from bask_data.dataset import Dataset
+from bask_data.errors import BadData, BaskError, UsageError, WouldOverwrite
+from bask_data.formats import FORMATS
+from bask_data.kinds import Demonstration, Scan, Truth
+from bask_data.stages.ingest import ingest
+from bask_data.validate import validate
+
+FORMAT = {format.name: format for format in FORMATS}
+DATASETS = Path(__file__).parents[2] / "datasets"
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    """Three frames, millimetres, one of them half unmeasured."""
+    folder = tmp_path / "source"
+    folder.mkdir()
+    for i in range(3):
+        rgb = np.full((4, 6, 3), 40 * i, dtype=np.uint8)
+        depth = np.full((4, 6), 1000 + i, dtype=np.uint16)
+        depth[:2] = 0 if i == 1 else depth[:2]
+        cv2.imwrite(str(folder / f"frame-{i:06d}.color.png"), rgb)
+        cv2.imwrite(str(folder / f"frame-{i:06d}.depth.png"), depth)
+        pose = np.eye(4)
+        pose[0, 3] = 0.1 * i
+        np.savetxt(folder / f"frame-{i:06d}.pose.txt", pose)
+    return folder
+
+
+def frames(source: Path, root: Path, **arguments: object) -> list[str]:
+    options = FORMAT["frames"].options(intrinsics="5,5,2.5,1.5", camera="wrist", **arguments.pop("options", {}))  # type: ignore[arg-type]
+    outcomes, _ = ingest(root, "table", format=FORMAT["frames"], source=source, options=options, **arguments)  # type: ignore[arg-type]
+    return [outcome.status for outcome in outcomes]
+
+
+def everything_below(root: Path) -> dict[str, bytes]:
+    return {str(file): file.read_bytes() for file in sorted(root.rglob("*")) if file.is_file()}
+
+
+def test_frames_arrive_as_they_were(source: Path, tmp_path: Path) -> None:
+    assert frames(source, tmp_path / "d") == ["made"]
+    dataset = Dataset(tmp_path / "d")
+    camera = Scan(dataset.path(Scan, "table")).camera("wrist")
+    assert (camera.n_frames, camera.height, camera.width) == (3, 4, 6)
+    assert camera.depth(2)[0, 0] == pytest.approx(1.002)
+    assert (camera.depth(1)[:2] == 0).all()
+    assert camera.rgb(2)[0, 0].tolist() == [80, 80, 80]
+    assert camera.world_from_cameras[2, 0, 3] == pytest.approx(0.2)
+    assert dataset.file.scenes["table"].format == "frames"
+    assert validate(dataset) == []
+
+
+def test_assumptions_are_recorded(source: Path, tmp_path: Path) -> None:
+    frames(source, tmp_path / "d")
+    assert "pose" in " ".join(Scan(tmp_path / "d" / "scan" / "table").metadata.assumptions)
+
+
+def test_same_source_and_options_again_is_up_to_date(source: Path, tmp_path: Path) -> None:
+    frames(source, tmp_path / "d")
+    assert frames(source, tmp_path / "d") == ["up to date"]
+
+
+def test_existing_scene_is_kept_without_force(source: Path, tmp_path: Path) -> None:
+    frames(source, tmp_path / "d")
+    before = everything_below(tmp_path / "d")
+    with pytest.raises(WouldOverwrite, match="expected no recording of that name"):
+        frames(source, tmp_path / "d", options={"depth_scale": 0.002})
+    assert everything_below(tmp_path / "d") == before
+    assert frames(source, tmp_path / "d", options={"depth_scale": 0.002}, force=True) == ["made"]
+    assert Scan(tmp_path / "d" / "scan" / "table").camera("wrist").depth(0)[0, 0] == pytest.approx(2.0)
+
+
+def test_name_of_a_demonstration_is_refused_for_a_scan(source: Path, tmp_path: Path) -> None:
+    frames(source, tmp_path / "d", kind="demonstration")
+    assert Demonstration(tmp_path / "d" / "demonstration" / "table").robot is None
+    with pytest.raises(UsageError, match="got the name of a demonstration"):
+        frames(source, tmp_path / "d", kind="scan")
+
+
+def all_invalid(source: Path) -> None:
+    for file in source.glob("*.depth.png"):
+        cv2.imwrite(str(file), np.zeros((4, 6), dtype=np.uint16))
+
+
+def truncate(source: Path) -> None:
+    file = source / "frame-000002.color.png"
+    file.write_bytes(file.read_bytes()[:-20])
+
+
+def mirror(source: Path) -> None:
+    np.savetxt(source / "frame-000001.pose.txt", np.diag([1.0, 1.0, -1.0, 1.0]))
+
+
+def lose(source: Path) -> None:
+    (source / "frame-000001.depth.png").unlink()
+
+
+@pytest.mark.parametrize("defect", [all_invalid, truncate, mirror, lose])
+def test_refused_source_writes_nothing(source: Path, tmp_path: Path, defect) -> None:
+    copy = shutil.copytree(source, tmp_path / "copy")
+    defect(copy)
+    with pytest.raises(BaskError, match="expected") as raised:
+        frames(copy, tmp_path / "new")
+    assert isinstance(raised.value, BadData)
+    assert not (tmp_path / "new").exists()
+    frames(source, tmp_path / "old")
+    before = everything_below(tmp_path / "old")
+    with pytest.raises(BadData):
+        frames(copy, tmp_path / "old", force=True)
+    assert everything_below(tmp_path / "old") == before
+
+
+def test_labels_become_truth_of_their_own_kind(tmp_path: Path) -> None:
+    format = FORMAT["apc"]
+    outcomes, assumptions = ingest(
+        tmp_path / "d", "shelf", format=format, source=DATASETS / "apc_shelf", options=format.options()
+    )
+    assert [(outcome.kind, outcome.status) for outcome in outcomes] == [("scan", "made"), ("truth", "made")]
+    assert "bin" in assumptions["world"]
+    truth = Truth(tmp_path / "d" / "truth" / "shelf")
+    assert truth.label_names[132] == "tissue box"
+    assert set(np.unique(truth.instance("wrist", 0))) == {0, 48, 114, 132, 144}
+    assert Scan(tmp_path / "d" / "scan" / "shelf").camera("wrist").n_frames == 15
+    assert validate(Dataset(tmp_path / "d")) == []

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bask_data.config import load_config
+from bask_data.errors import BadData, UsageError
+from bask_data.stage import resolve
+from tests.toy_stages import fuse, pick
+
+STAGES = (fuse, pick)
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    file = tmp_path / "params.yaml"
+    file.write_text(text)
+    return file
+
+
+def test_order_is_option_then_set_then_item_then_stage_then_default(tmp_path: Path) -> None:
+    file = written(tmp_path, "fuse: {voxel_size: 1, ignored: 1}\nfuse@a: {voxel_size: 2}\n")
+    config = load_config(file, [], STAGES)
+    assert resolve(fuse, config, "b", "main", {}).model_dump() == {"voxel_size": 1, "fail": "", "ignored": 1}
+    assert resolve(fuse, config, "a", "main", {}).model_dump()["voxel_size"] == 2
+    config = load_config(file, ["fuse@a.voxel_size=3"], STAGES)
+    assert resolve(fuse, config, "a", "main", {}).model_dump()["voxel_size"] == 3
+    assert resolve(fuse, config, "a", "main", {"voxel_size": 4}).model_dump()["voxel_size"] == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("fusing: {}", "fusing: expected one of fuse, pick, got fusing"),
+        ("fuse: {voxel: 1}", "fuse.voxel: expected one of voxel_size, fail, ignored, got voxel"),
+    ],
+)
+def test_unknown_names_are_refused_with_the_choices(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        load_config(written(tmp_path, text), [], STAGES)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("- 1", "expected sections named like stages, got list"),
+        ("fuse: 1", "fuse: expected parameters by name, got 1"),
+        ("a: [", "expected YAML"),
+        ("!!python/object/apply:os.system ['touch ran']", "expected YAML, got could not determine a constructor"),
+    ],
+)
+def test_files_that_are_no_configuration_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(BadData, match=message):
+        load_config(written(tmp_path, text), [], STAGES)
+    assert not Path("ran").exists()
+
+
+def test_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="expected a YAML file, got nothing"):
+        load_config(tmp_path / "none.yaml", [], STAGES)
+
+
+@pytest.mark.parametrize("text", ["fuse.voxel_size", "voxel_size=1"])
+def test_assignments_must_name_stage_and_field(text: str) -> None:
+    with pytest.raises(UsageError, match="--set: expected stage.field=value"):
+        load_config(None, [text], STAGES)
+
+
+def test_assignment_must_be_yaml() -> None:
+    with pytest.raises(UsageError, match="expected a YAML value"):
+        load_config(None, ["fuse.voxel_size=["], STAGES)

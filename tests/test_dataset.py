@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from bask_data.dataset import Dataset, Source, Splits
+from bask_data.errors import BadData, UsageError, WouldOverwrite
+
+SOURCE = Source(format="frames", path="somewhere")
+
+
+def test_created_dataset_opens_and_is_a_zarr_group(tmp_path: Path) -> None:
+    import zarr
+
+    Dataset.create(tmp_path / "d", licence="CC-BY-4.0")
+    assert Dataset(tmp_path / "d").file.licence == "CC-BY-4.0"
+    assert zarr.open_group(str(tmp_path / "d"), mode="r").attrs["bask"]["dataset"] == 1
+
+
+def test_existing_dataset_is_not_made_again(tmp_path: Path) -> None:
+    Dataset.create(tmp_path)
+    with pytest.raises(WouldOverwrite, match=r"dataset.json: expected no dataset, got one"):
+        Dataset.create(tmp_path)
+
+
+def test_directory_without_dataset_is_refused_with_the_command_that_makes_one(tmp_path: Path) -> None:
+    with pytest.raises(BadData, match="fix: bask-data init"):
+        Dataset(tmp_path)
+
+
+def test_file_in_place_of_the_directory_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "d").touch()
+    with pytest.raises(UsageError, match="expected a directory, got a file"):
+        Dataset.create(tmp_path / "d")
+
+
+@pytest.mark.parametrize("name", ["../up", "a/b", "", ".hidden", "-x", "a" * 65, "a b", "a\n"])
+def test_names_that_are_no_plain_directory_are_refused(tmp_path: Path, name: str) -> None:
+    dataset = Dataset.create(tmp_path)
+    with pytest.raises(UsageError, match="name: expected letters, digits"):
+        dataset.add("scene", name, SOURCE)
+
+
+@pytest.mark.parametrize("field", ["scenes", "demonstrations"])
+def test_names_in_a_strangers_dataset_file_are_checked(tmp_path: Path, field: str) -> None:
+    Dataset.create(tmp_path)
+    document = json.loads((tmp_path / "dataset.json").read_text())
+    document[field] = {"../../etc": SOURCE.model_dump()}
+    (tmp_path / "dataset.json").write_text(json.dumps(document))
+    with pytest.raises(UsageError, match=r"got '\.\./\.\./etc'"):
+        Dataset(tmp_path)
+
+
+def test_unknown_field_in_the_dataset_file_is_named(tmp_path: Path) -> None:
+    Dataset.create(tmp_path)
+    document = json.loads((tmp_path / "dataset.json").read_text()) | {"colour": 1}
+    (tmp_path / "dataset.json").write_text(json.dumps(document))
+    with pytest.raises(BadData, match=r"dataset.json: colour: expected Extra inputs are not permitted"):
+        Dataset(tmp_path)
+
+
+def test_a_name_is_a_scene_or_a_demonstration(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path)
+    dataset.add("scene", "a", SOURCE)
+    with pytest.raises(UsageError, match="got the name of the other sort of recording"):
+        dataset.add("demonstration", "a", SOURCE)
+
+
+def test_items_added_at_the_same_time_are_all_kept(tmp_path: Path) -> None:
+    Dataset.create(tmp_path)
+    names = [f"s{i}" for i in range(20)]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda name: Dataset(tmp_path).add("scene", name, SOURCE), names))
+    assert sorted(Dataset(tmp_path).items("scene")) == sorted(names)
+
+
+def test_splits_name_existing_scenes_once(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path)
+    for name in "ab":
+        dataset.add("scene", name, SOURCE)
+    with pytest.raises(UsageError, match="splits: expected one of a, b, got c"):
+        dataset.set_splits(Splits(train=("c",)))
+    with pytest.raises(UsageError, match="expected each scene in one split, got a"):
+        dataset.set_splits(Splits(train=("a",), test=("a",)))
+    dataset.set_splits(Splits(train=("a",), test=("b",)))
+    assert Dataset(tmp_path).file.splits.test == ("b",)

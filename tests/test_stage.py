@@ -1,0 +1,224 @@
+from __future__ import annotations
+
+import json
+import pickle
+import shutil
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bask_data.artifact import read_manifest
+from bask_data.dataset import Dataset, Splits, Variant
+from bask_data.errors import UsageError
+from bask_data.kinds import DescriptorNet, Reconstruction
+from bask_data.stage import Outcome, Stage, in_order, make, plan, run, state_of
+from tests.datasets import publish_recording
+from tests.toy_stages import fuse, learn, pick
+
+
+def add_scan(dataset: Dataset, name: str, n_frames: int = 2, level: int = 0) -> None:
+    publish_recording(
+        dataset,
+        name,
+        rgb=[np.full((4, 6, 3), level + i, dtype=np.uint8) for i in range(n_frames)],
+        depth=[np.full((4, 6), 1.0) for _ in range(n_frames)],
+        K=np.array([[5.0, 0, 2.5], [0, 5, 1.5], [0, 0, 1]]),
+        world_from_cameras=np.tile(np.eye(4), (n_frames, 1, 1)),
+    )
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Dataset:
+    dataset = Dataset.create(tmp_path / "table")
+    add_scan(dataset, "a")
+    add_scan(dataset, "b", n_frames=3)
+    return dataset
+
+
+def statuses(dataset: Dataset, stage: Stage, **options: object) -> list[str]:
+    return [outcome.status for outcome in run(plan(dataset, stage, **options))]  # type: ignore[arg-type]
+
+
+def one(dataset: Dataset, stage: Stage, **options: object) -> Outcome:
+    [task] = plan(dataset, stage, **options)  # type: ignore[arg-type]
+    return make(task)
+
+
+def test_signature_says_what_a_stage_reads_and_makes() -> None:
+    assert [(given.artifact.kind, given.gather) for given in learn.inputs] == [("scan", True), ("objects", True)]
+    assert learn.wants_splits
+    assert learn.resumable
+    assert pick.makes.kind == "objects"
+    assert [(given.artifact.kind, given.gather) for given in pick.inputs] == [("reconstruction", False)]
+
+
+def test_stages_are_ordered_by_what_they_read() -> None:
+    assert [stage.name for stage in in_order([learn, pick, fuse])] == ["fuse", "pick", "learn"]
+
+
+def test_second_run_makes_nothing(dataset: Dataset) -> None:
+    assert statuses(dataset, fuse) == ["made", "made"]
+    inode = dataset.path(Reconstruction, "a").stat().st_ino
+    assert statuses(dataset, fuse) == ["up to date", "up to date"]
+    assert dataset.path(Reconstruction, "a").stat().st_ino == inode
+
+
+def test_changed_parameter_remakes_and_says_why(dataset: Dataset) -> None:
+    statuses(dataset, fuse)
+    tasks = plan(dataset, fuse, config={"fuse@b": {"voxel_size": 0.2}})
+    assert [state_of(task).status for task in tasks] == ["up to date", "stale"]
+    assert state_of(tasks[1]).why == "changed: voxel_size 0.1 -> 0.2"
+
+
+def test_remade_input_with_the_same_bytes_leaves_everything_below_up_to_date(dataset: Dataset) -> None:
+    statuses(dataset, fuse)
+    statuses(dataset, pick)
+    assert statuses(dataset, fuse, options={"ignored": 1}) == ["made", "made"]
+    assert statuses(dataset, pick) == ["up to date", "up to date"]
+    assert statuses(dataset, fuse, options={"voxel_size": 0.3}) == ["made", "made"]
+    assert statuses(dataset, pick) == ["made", "made"]
+
+
+def test_new_stage_version_makes_the_old_artifact_stale(dataset: Dataset) -> None:
+    statuses(dataset, fuse)
+    [task, _] = plan(dataset, fuse)
+    manifest = read_manifest(task.target)
+    older = json.loads(manifest.model_dump_json()) | {"stage_version": 0, "key": "0" * 64}
+    (task.target / "artifact.json").write_text(json.dumps(older))
+    assert state_of(task).why == "made by version 0 of the stage, this is 1"
+
+
+def test_missing_input_blocks_and_names_it(dataset: Dataset) -> None:
+    outcomes = list(run(plan(dataset, pick)))
+    assert [(outcome.status, outcome.why) for outcome in outcomes] == [
+        ("blocked", "reconstruction/a is missing"),
+        ("blocked", "reconstruction/b is missing"),
+    ]
+
+
+def test_failure_of_one_item_leaves_the_others_and_the_old_artifact(dataset: Dataset) -> None:
+    statuses(dataset, fuse)
+    before = read_manifest(dataset.path(Reconstruction, "a")).digest
+    config = {"fuse@a": {"fail": "this"}, "fuse": {"voxel_size": 0.5}}
+    outcomes = list(run(plan(dataset, fuse, config=config)))
+    assert [outcome.status for outcome in outcomes] == ["failed", "made"]
+    assert outcomes[0].why == "frame: expected something else, got this."
+    assert read_manifest(dataset.path(Reconstruction, "a")).digest == before
+    assert not [path for path in (dataset.root / ".scratch").iterdir() if path.is_dir()]
+
+
+def test_dry_run_makes_nothing(dataset: Dataset) -> None:
+    outcomes = list(run(plan(dataset, fuse), dry_run=True))
+    assert [outcome.status for outcome in outcomes] == ["would make", "would make"]
+    assert not (dataset.root / "reconstruction").exists()
+
+
+def test_gathering_stage_reads_every_item_and_the_splits(dataset: Dataset) -> None:
+    statuses(dataset, fuse)
+    statuses(dataset, pick)
+    assert one(dataset, learn).status == "made"
+    net = DescriptorNet(dataset.path(DescriptorNet))
+    assert net.metadata.metrics["n_scans"] == 2
+    dataset.set_splits(Splits(train=("a",), validation=("b",)))
+    [task] = plan(Dataset(dataset.root), learn)
+    assert state_of(task).why == "changed: splits"
+    assert make(task).status == "made"
+    assert DescriptorNet(dataset.path(DescriptorNet)).metadata.metrics["n_train"] == 1
+
+
+def test_adding_a_scene_leaves_the_others_and_remakes_what_gathers(dataset: Dataset) -> None:
+    for stage in (fuse, pick, learn):
+        statuses(dataset, stage)
+    add_scan(dataset, "c")
+    assert statuses(dataset, fuse) == ["up to date", "up to date", "made"]
+    assert statuses(dataset, pick) == ["up to date", "up to date", "made"]
+    assert one(dataset, learn).status == "made"
+
+
+def test_interrupted_resumable_stage_goes_on_where_it_was(dataset: Dataset) -> None:
+    statuses(dataset, fuse)
+    statuses(dataset, pick)
+    (dataset.root / "interrupt").touch()
+    with pytest.raises(KeyboardInterrupt):
+        one(dataset, learn)
+    (dataset.root / "interrupt").unlink()
+    assert one(dataset, learn).status == "made"
+    assert DescriptorNet(dataset.path(DescriptorNet)).metadata.metrics["resumed_at"] == 2
+    assert not list((dataset.root / ".scratch").glob("resume-*/"))
+
+
+def test_variants_stand_beside_each_other(dataset: Dataset) -> None:
+    for stage in (fuse, pick):
+        statuses(dataset, stage)
+    assert one(dataset, learn, variant="small").status == "made"
+    dataset.add_variant(DescriptorNet, "small", Variant())
+    assert (dataset.root / "descriptor" / "small" / "artifact.json").exists()
+    assert not (dataset.root / "descriptor" / "main").exists()
+    assert list(Dataset(dataset.root).variants(DescriptorNet)) == ["main", "small"]
+
+
+def test_tasks_run_in_other_processes(dataset: Dataset) -> None:
+    [task, _] = plan(dataset, fuse)
+    assert pickle.loads(pickle.dumps(task)).stage is fuse  # noqa: S301  # What a process pool does.
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        outcomes = list(run(plan(dataset, fuse), executor=pool))
+    assert {(outcome.item, outcome.status) for outcome in outcomes} == {("a", "made"), ("b", "made")}
+
+
+def test_errors_cross_processes_whole(dataset: Dataset) -> None:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        [outcome, *_] = run(plan(dataset, fuse, options={"fail": "this"}, only=["a"]), executor=pool)
+    assert outcome.error is not None
+    assert outcome.error.exit_code == 4
+    assert str(outcome.error) == "frame: expected something else, got this."
+
+
+def test_unknown_item_is_refused_with_the_choices(dataset: Dataset) -> None:
+    with pytest.raises(UsageError, match="--only: expected one of a, b, got c"):
+        plan(dataset, fuse, only=["c"])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"voxel_size": -1}, "fuse: voxel_size: expected Input should be greater than 0, got -1"),
+        ({"voxel": 1}, "fuse: voxel: .* fix: one of voxel_size, fail, ignored."),
+    ],
+)
+def test_wrong_parameters_are_refused(dataset: Dataset, options: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        plan(dataset, fuse, options=options)
+
+
+def test_manifest_depends_on_content_alone(dataset: Dataset, tmp_path: Path) -> None:
+    statuses(dataset, fuse)
+    copy = Dataset(
+        shutil.copytree(dataset.root, tmp_path / "elsewhere", ignore=shutil.ignore_patterns("reconstruction"))
+    )
+    statuses(copy, fuse)
+    for item in ("a", "b"):
+        manifests = [
+            (root / "reconstruction" / item / "artifact.json").read_bytes() for root in (dataset.root, copy.root)
+        ]
+        assert manifests[0] == manifests[1]
+
+
+def test_provenance_lies_outside_the_artifact(dataset: Dataset) -> None:
+    statuses(dataset, fuse)
+    record = json.loads((dataset.root / "provenance" / "reconstruction" / "a.json").read_text())
+    assert record["key"] == read_manifest(dataset.path(Reconstruction, "a")).key
+    assert {"user", "host", "time", "seconds", "process_peak_bytes", "bask_data"} <= record.keys()
+
+
+def test_open_with_plain_zarr(dataset: Dataset) -> None:
+    import zarr
+
+    statuses(dataset, fuse)
+    group = zarr.open_group(str(dataset.root), mode="r")
+    depth = group["scan/a/wrist/depth"]
+    assert depth.shape == (2, 4, 6)
+    assert depth.attrs["scale_m"] == 0.0001
+    assert group["reconstruction/b"].attrs["bask"]["kind"] == "reconstruction"
