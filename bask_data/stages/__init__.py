@@ -1,0 +1,1 @@
+"""The stages, one verb a file: open inputs, call the core or the network, write `out`."""
