@@ -25,7 +25,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from bask_data.errors import BadData
 
 if TYPE_CHECKING:
-    import numpy as np
     import zarr
 
 MANIFEST = "artifact.json"
@@ -154,17 +153,6 @@ class Artifact:
             for name in names
             if read_json(self.path / name / "zarr.json").get("node_type") == "group" and name != "robot"
         )
-
-    def read(self, name: str) -> np.ndarray:
-        """A whole array of the artifact."""
-        try:
-            return self.group[name][...]  # type: ignore[index,return-value]
-        except KeyError:
-            raise BadData(self.path, name, expected="an array", got="nothing") from None
-        except Exception as error:
-            raise BadData(
-                self.path, name, expected="readable chunks", got=str(error), fix="run `bask-data validate`."
-            ) from error
 
 
 def canonical_json(value: object) -> bytes:

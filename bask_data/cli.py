@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import json
 import os
@@ -16,7 +17,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
-import click
 import typer
 
 from bask_data import __version__
@@ -63,38 +63,45 @@ app.add_typer(ingest_app, name="ingest", rich_help_panel="Dataset")
 def main() -> None:
     """Run the command line and leave with the documented exit code."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    try:
-        code = app(standalone_mode=False)
-    except click.exceptions.Exit as error:
-        code = error.exit_code
-    except click.ClickException as error:
-        error.show()
-        code = 2
-    except (KeyboardInterrupt, click.Abort):
-        say("interrupted: what was finished is kept; the same command goes on from there.")
-        code = 130
-    except BaskError as error:
-        show_error(error)
-        code = error.exit_code
-    except BrokenProcessPool:
-        say("error: a worker process was killed.  fix: it may have run out of memory; use fewer --jobs.")
-        code = 1
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = 1
-    except ImportError as error:
-        show_error(
-            MissingDependency(
-                "import", error.name or "", expected="a package that loads", got=str(error), fix="bask-data doctor"
-            )
-        )
-        code = MissingDependency.exit_code
-    except Exception as error:
-        if os.environ.get("BASK_DEBUG"):
+    app()
+
+
+def _reporting(body: Callable[..., None]) -> Callable[..., None]:
+    """The same command, with errors as one line for a person and an exit code for a script."""
+
+    @functools.wraps(body)
+    def command(*args: Any, **kwargs: Any) -> None:
+        try:
+            body(*args, **kwargs)
+        except (typer.Exit, typer.Abort):
             raise
-        say(f"error: {type(error).__name__}: {error}  fix: set BASK_DEBUG=1 for the traceback.")
-        code = 1
-    sys.exit(code if isinstance(code, int) else 0)
+        except KeyboardInterrupt:
+            say("interrupted: what was finished is kept; the same command goes on from there.")
+            raise typer.Exit(130) from None
+        except BrokenProcessPool:
+            say("error: a worker process was killed.  fix: it may have run out of memory; use fewer --jobs.")
+            raise typer.Exit(1) from None
+        except BrokenPipeError:
+            # Whoever read our output has gone: point it at nothing, or the interpreter complains when it closes it.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise typer.Exit(1) from None
+        except BaskError as error:
+            show_error(error)
+            raise typer.Exit(error.exit_code) from None
+        except ImportError as error:
+            show_error(
+                MissingDependency(
+                    "import", error.name or "", expected="a package that loads", got=str(error), fix="bask-data doctor"
+                )
+            )
+            raise typer.Exit(MissingDependency.exit_code) from None
+        except Exception as error:
+            if os.environ.get("BASK_DEBUG"):
+                raise
+            say(f"error: {type(error).__name__}: {error}  fix: set BASK_DEBUG=1 for the traceback.")
+            raise typer.Exit(1) from None
+
+    return command
 
 
 @app.callback(invoke_without_command=True)
@@ -116,24 +123,23 @@ def _parameter(
 def _option(name: str, field: Any) -> inspect.Parameter:
     """One field of a model as an option. Unset stays None, so that the configuration below it is seen."""
     flag = "--" + name.replace("_", "-")
-    annotation, choices = _plain_type(field.annotation)
+    annotation = _plain_type(field.annotation)
     default = field.get_default(call_default_factory=True)
     shown = "" if default is None or default == "" or default is ... else _as_text(default)
-    extra: dict[str, Any] = {"click_type": click.Choice(choices)} if choices else {}
     flags = [f"{flag}/--no-{flag[2:]}"] if annotation is bool else [flag]
     text = (field.description or "") + (f" [default: {shown}]" if shown else "")
-    option = typer.Option(*flags, help=text, show_default=False, **extra)
+    option = typer.Option(*flags, help=text, show_default=False)
     return _parameter(name, Annotated[annotation | None, option], None)
 
 
-def _plain_type(annotation: Any) -> tuple[type, list[str]]:
-    """The type of an option and its choices; what is no number or flag is text and checked by the model."""
+def _plain_type(annotation: Any) -> Any:
+    """The type of an option; what is no number, flag or choice is text, and checked by the model."""
     if get_origin(annotation) is Literal:
-        return str, [str(choice) for choice in get_args(annotation)]
+        return annotation
     if get_origin(annotation) in (typing.Union, types.UnionType):
         inner = [part for part in get_args(annotation) if part is not type(None)]
-        return _plain_type(inner[0]) if len(inner) == 1 else (str, [])
-    return (annotation, []) if annotation in (bool, int, float) else (str, [])
+        return _plain_type(inner[0]) if len(inner) == 1 else str
+    return annotation if annotation in (bool, int, float) else str
 
 
 def _as_text(value: Any) -> str:
@@ -169,7 +175,7 @@ def _command(
     """Add a command whose signature is made here: Typer reads options off signatures only."""
 
     def command(**arguments: Any) -> None:
-        body(**arguments)
+        _reporting(body)(**arguments)
 
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
@@ -349,12 +355,7 @@ def _add_format(format: Format) -> None:
     ]
     scene = Annotated[str, typer.Option("--scene", help="Name of the recording in the dataset.", metavar="NAME")]
     as_ = Annotated[
-        str,
-        typer.Option(
-            "--as",
-            help="A scan of a static scene, or a demonstration.",
-            click_type=click.Choice(["scan", "demonstration"]),
-        ),
+        Literal["scan", "demonstration"], typer.Option("--as", help="A scan of a static scene, or a demonstration.")
     ]
     replace = Annotated[bool, typer.Option("--force", help="Replace a recording of that name.")]
     parameters = [
@@ -392,6 +393,7 @@ for _format in FORMATS:
 
 
 @app.command()
+@_reporting
 def init(
     root: Root,
     name: Annotated[str, typer.Option(help="Name of the dataset; by default the directory's.")] = "",
@@ -407,6 +409,7 @@ def init(
 
 
 @app.command("run")
+@_reporting
 def run_all(
     root: Root,
     only: Only = "",
@@ -445,6 +448,7 @@ def run_all(
 
 
 @app.command()
+@_reporting
 def status(root: Root, config: ConfigFile = None, set_: Set = [], json_: Json = False) -> None:  # noqa: B006
     """Say of every artifact whether it is up to date, and if not, why."""
     dataset = Dataset(root)
@@ -466,6 +470,7 @@ def status(root: Root, config: ConfigFile = None, set_: Set = [], json_: Json = 
 
 
 @app.command()
+@_reporting
 def info(root: Root, json_: Json = False) -> None:
     """Say what a dataset holds."""
     from bask_data.validate import artifacts_on_disk, total_bytes
@@ -508,6 +513,7 @@ def _camera_sizes(artifact: Any) -> dict[str, str]:
 
 
 @app.command()
+@_reporting
 def validate(root: Root, json_: Json = False) -> None:
     """Hold every file against its SHA-256 and every array against its schema."""
     from bask_data.validate import artifacts_on_disk
@@ -527,6 +533,7 @@ def validate(root: Root, json_: Json = False) -> None:
 
 
 @app.command()
+@_reporting
 def split(
     root: Root,
     train: Annotated[str, typer.Option(help="Scenes to train on, separated by commas.", metavar="NAMES")] = "",
@@ -543,6 +550,7 @@ def split(
 
 
 @app.command()
+@_reporting
 def dvc(
     root: Root,
     config: ConfigFile = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from bask_data.errors import BaskError
 from bask_data.stage import Outcome
 
 _SECONDS_BETWEEN_LINES = 10.0
+_ESCAPES = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|[\x00-\x08\x0b-\x1f\x7f]")
 _MARKS = {
     "made": "made",
     "up to date": "up to date",
@@ -23,8 +25,8 @@ _MARKS = {
 
 
 def say(text: str) -> None:
-    """One line on stderr."""
-    print(text, file=sys.stderr, flush=True)
+    """One line on stderr. Escape sequences go: they come from libraries' colours, or from names in strangers' files."""
+    print(_ESCAPES.sub("", text), file=sys.stderr, flush=True)
 
 
 def show_outcome(outcome: Outcome) -> None:

@@ -123,6 +123,22 @@ def read_frame(array: zarr.Array, i_frame: int, where: Path) -> np.ndarray:
         ) from error
 
 
+def read_all(group: zarr.Group, name: str, where: Path) -> np.ndarray:
+    """A whole array; `BadData` when it is missing or does not decode.
+
+    zarr gives an explicit byte order, `<f8`, which Open3D refuses even where it is the machine's own.
+    """
+    try:
+        array = group[name][...]  # type: ignore[index]
+    except KeyError:
+        raise BadData(where, name, expected="an array", got="nothing") from None
+    except Exception as error:
+        raise BadData(
+            where, name, expected="readable chunks", got=str(error), fix="run `bask-data validate`."
+        ) from error
+    return array.astype(array.dtype.newbyteorder("="))  # type: ignore[union-attr,return-value]
+
+
 def spec_of(artifact: type[Artifact], name: str) -> ArraySpec:
     """The schema's entry for an array, where the name of a camera stands for `{camera}`."""
     if name in artifact.arrays:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bask_data.artifact import ArraySpec, Artifact, Metadata, write_group
-from bask_data.kinds.arrays import FrameWriter, read_frame, start, write_array
+from bask_data.kinds.arrays import FrameWriter, read_all, read_frame, start, write_array
 
 if TYPE_CHECKING:
     import numpy as np
@@ -65,17 +65,17 @@ class Camera:
     @cached_property
     def K(self) -> np.ndarray:
         """Pinhole matrix (3, 3) float64, pixels."""
-        return self._group["intrinsics"][...]  # type: ignore[index,return-value]
+        return read_all(self._group, "intrinsics", self.path)
 
     @cached_property
     def world_from_cameras(self) -> np.ndarray:
         """(t, 4, 4) float64, metres."""
-        return self._group["world_from_camera"][...]  # type: ignore[index,return-value]
+        return read_all(self._group, "world_from_camera", self.path)
 
     @cached_property
     def time(self) -> np.ndarray:
         """(t,) float64, seconds."""
-        return self._group["time"][...]  # type: ignore[index,return-value]
+        return read_all(self._group, "time", self.path)
 
     @cached_property
     def depth_scale(self) -> float:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bask_data.artifact import ArraySpec, write_group
-from bask_data.kinds.arrays import start, write_array
+from bask_data.kinds.arrays import read_all, start, write_array
 from bask_data.kinds.cameras import CAMERA_ARRAYS, Recording, RecordingMetadata
 
 if TYPE_CHECKING:
@@ -58,9 +58,9 @@ class Demonstration(Recording):
         """What the robot did, or None if only cameras were recorded."""
         if "robot" not in self.group:
             return None
-        group = self.group["robot"]
-        found = {name: array[...] for name, array in group.arrays()}  # type: ignore[union-attr]
-        return Robot(**found, action_names=tuple(self.metadata.action_names))  # type: ignore[arg-type]
+        names = [name for name in ("world_from_gripper", "gripper_width", "action") if f"robot/{name}" in self.group]
+        found = {name: read_all(self.group, f"robot/{name}", self.path) for name in names}
+        return Robot(**found, action_names=tuple(self.metadata.action_names))
 
     @staticmethod
     def start(out: Path, format: str, assumptions: dict[str, str], action_names: tuple[str, ...] = ()) -> zarr.Group:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bask_data.artifact import ArraySpec, Artifact, Metadata, write_group
-from bask_data.kinds.arrays import start, write_array
+from bask_data.kinds.arrays import read_all, start, write_array
 
 if TYPE_CHECKING:
     import numpy as np
@@ -61,35 +61,35 @@ class KeypointTrack(Artifact):
     @cached_property
     def mean(self) -> np.ndarray:
         """(t, k, 3) float32, metres, world frame."""
-        return self.read("mean")
+        return read_all(self.group, "mean", self.path)
 
     @cached_property
     def covariance(self) -> np.ndarray:
         """(t, k, 3, 3) float32, square metres."""
-        return self.read("covariance")
+        return read_all(self.group, "covariance", self.path)
 
     @cached_property
     def mode(self) -> np.ndarray:
         """(t, k, 3) float32, metres, world frame."""
-        return self.read("mode")
+        return read_all(self.group, "mode", self.path)
 
     @cached_property
     def n_eff(self) -> np.ndarray:
         """(t, k) float32."""
-        return self.read("n_eff")
+        return read_all(self.group, "n_eff", self.path)
 
     @cached_property
     def log_evidence(self) -> np.ndarray:
         """(t, k) float32."""
-        return self.read("log_evidence")
+        return read_all(self.group, "log_evidence", self.path)
 
     def pixel(self, camera: str) -> np.ndarray:
         """(t, k, 2) float32 pixels of the mean in a camera's images."""
-        return self.read(f"{camera}/pixel")
+        return read_all(self.group, f"{camera}/pixel", self.path)
 
     def observed(self, camera: str) -> np.ndarray:
         """(t, k) bool."""
-        return self.read(f"{camera}/observed")
+        return read_all(self.group, f"{camera}/observed", self.path)
 
     @staticmethod
     @contextmanager

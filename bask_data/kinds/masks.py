@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bask_data.artifact import ArraySpec, Artifact, Metadata, write_group
-from bask_data.kinds.arrays import FrameWriter, read_frame, start, write_array
+from bask_data.kinds.arrays import FrameWriter, read_all, read_frame, start, write_array
 
 if TYPE_CHECKING:
     import numpy as np
@@ -46,7 +46,7 @@ class CameraMasks:
     @cached_property
     def visible_fraction(self) -> np.ndarray:
         """(t, k) float32: the share of each instance's projection that is visible, in [0, 1]; NaN where it has none."""
-        return self._group["visible_fraction"][...]  # type: ignore[index,return-value]
+        return read_all(self._group, "visible_fraction", self.path)
 
 
 class VisibleMasks(Artifact):

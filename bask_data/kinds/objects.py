@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bask_data.artifact import ArraySpec, Artifact, Metadata
-from bask_data.kinds.arrays import start, write_array
+from bask_data.kinds.arrays import read_all, start, write_array
 
 if TYPE_CHECKING:
     import numpy as np
@@ -57,12 +57,12 @@ class ObjectInstances(Artifact):
     @cached_property
     def vertex_instance(self) -> np.ndarray:
         """(n,) int32; 0 is background."""
-        return self.read("vertex_instance")
+        return read_all(self.group, "vertex_instance", self.path)
 
     @cached_property
     def support_plane(self) -> np.ndarray:
         """(4,) float64: n.x + d = 0; all zero when there is none."""
-        return self.read("support_plane")
+        return read_all(self.group, "support_plane", self.path)
 
     @property
     def instances(self) -> list[InstanceRow]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bask_data.artifact import ArraySpec, Artifact, Metadata
-from bask_data.kinds.arrays import start, write_array
+from bask_data.kinds.arrays import read_all, start, write_array
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,17 +43,17 @@ class Reconstruction(Artifact):
     @cached_property
     def vertices(self) -> np.ndarray:
         """(n, 3) float32, metres, world frame."""
-        return self.read("vertices")
+        return read_all(self.group, "vertices", self.path)
 
     @cached_property
     def triangles(self) -> np.ndarray:
         """(m, 3) int32 indices of vertices."""
-        return self.read("triangles")
+        return read_all(self.group, "triangles", self.path)
 
     @cached_property
     def colors(self) -> np.ndarray:
         """(n, 3) uint8."""
-        return self.read("colors")
+        return read_all(self.group, "colors", self.path)
 
     @property
     def voxel_size(self) -> float:

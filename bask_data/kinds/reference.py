@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bask_data.artifact import ArraySpec, Artifact, Metadata
-from bask_data.kinds.arrays import start, write_array
+from bask_data.kinds.arrays import read_all, start, write_array
 
 if TYPE_CHECKING:
     import numpy as np
@@ -51,7 +51,7 @@ class ReferenceKeypoints(Artifact):
     @cached_property
     def descriptors(self) -> np.ndarray:
         """(k, d) float32."""
-        return self.read("descriptors")
+        return read_all(self.group, "descriptors", self.path)
 
     @property
     def picks(self) -> list[Pick]:

@@ -55,7 +55,11 @@ def ingest(
     if target.exists() and not force:
         if read_manifest(target).key == key:
             digest = read_manifest(target).digest
-            return [Outcome(f"ingest {item}", makes.kind, item, "main", str(target), "up to date", digest=digest)], {}
+            return [
+                Outcome(
+                    f"ingest {makes.kind} {item}", makes.kind, item, "main", str(target), "up to date", digest=digest
+                )
+            ], {}
         raise WouldOverwrite(
             target,
             "",
@@ -111,7 +115,17 @@ def _write(
         record(root, target, begun, key)
         seconds = time.perf_counter() - begun
         outcomes.append(
-            Outcome(f"ingest {item}", artifact.kind, item, "main", str(target), "made", "", seconds, manifest.digest)
+            Outcome(
+                f"ingest {artifact.kind} {item}",
+                artifact.kind,
+                item,
+                "main",
+                str(target),
+                "made",
+                "",
+                seconds,
+                manifest.digest,
+            )
         )
     path = os.path.relpath(source.resolve(), root.resolve())
     given = options.model_dump(mode="json", exclude_defaults=True)
