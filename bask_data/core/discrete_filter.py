@@ -18,7 +18,17 @@ from numpy.random import Generator
 from scipy.sparse import csr_array
 
 from bask_data.core.geometry import in_image, invert_rigid, pixel_grid, project, scale_intrinsics, transform, unproject
-from bask_data.core.heatmap import Estimate, Motion, Observation, fill_depth, fuse, keep_last, lift, shrink_depth
+from bask_data.core.heatmap import (
+    Estimate,
+    Motion,
+    Observation,
+    fill_depth,
+    fuse,
+    keep_last,
+    lift,
+    shrink_depth,
+    unseen_likelihood,
+)
 
 FAR = 1e6
 """Depth, metres, put in for an image that has none at all: the camera's rotation still carries its pixels."""
@@ -26,7 +36,7 @@ FAR = 1e6
 
 @dataclass(frozen=True)
 class DiscreteSettings:
-    """Settings of the discrete filter. Paper's: `outside_likelihood` and `restart` zero."""
+    """Settings of the discrete filter. The paper's has `tau` and `restart` zero."""
 
     alpha: float = 4.0
     """Temperature: a pixel at distance z has likelihood exp(-alpha z)."""
@@ -34,8 +44,10 @@ class DiscreteSettings:
     """Standard deviation of the random walk in one frame, pixels of the distance map."""
     cell: int = 1
     """Edge of a cell of the belief, pixels of the distance map."""
-    outside_likelihood: float = 0.1
-    """Likelihood of any observation if the keypoint is outside of the image; as `tau` of the particle filter."""
+    tau: float | None = None
+    """Likelihood of any image if the keypoint is outside of it; None: `unseen_likelihood` says it of each image."""
+    tau_ratio: float = 2.0
+    """Without `tau`: how much likelier the keypoint is outside than at the average pixel."""
     outside_area: float = 1.0
     """Size of the world around the image that a keypoint may hide in, in images: the larger, the less comes back as the
     view moves on."""
@@ -80,7 +92,8 @@ def discrete_step(
     for i, seen in enumerate(observations):
         grid, likelihood = _on_grid(seen, settings)
         prior = _uniform(grid, likelihood.shape) if belief is None else predict(belief.cameras[i], grid, settings)
-        posterior, log_evidence = update(prior, likelihood, settings.outside_likelihood)
+        tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
+        posterior, log_evidence = update(prior, likelihood, tau)
         cameras.append(posterior)
         inside = posterior.inside.sum(axis=(1, 2))
         share = np.where(inside > 0, inside, 1.0)[:, None, None]
@@ -157,7 +170,7 @@ def _uncovered(belief: CameraBelief, seen: Observation) -> Bool[ndarray, "h w"]:
 
 
 def update(
-    prior: CameraBelief, likelihood: Float[ndarray, "k h w"], outside_likelihood: float
+    prior: CameraBelief, likelihood: Float[ndarray, "k h w"], tau: Float[ndarray, "k"]
 ) -> tuple[CameraBelief, Float[ndarray, "k"]]:
     """Belief after a measurement, and the log of that measurement's likelihood.
 
@@ -166,7 +179,7 @@ def update(
 
     Source: von Hartz et al. 2023, Sec. III-B.4.
     """
-    inside, outside = prior.inside * likelihood, prior.outside * outside_likelihood
+    inside, outside = prior.inside * likelihood, prior.outside * tau
     evidence = np.maximum(inside.sum(axis=(1, 2)) + outside, np.finfo(np.float64).tiny)
     return replace(prior, inside=inside / evidence[:, None, None], outside=outside / evidence), np.log(evidence)
 

@@ -20,6 +20,12 @@ from bask_data.core.geometry import pixel_grid, project, scale_intrinsics, trans
 LIFT_RADIUS = 3
 """Half the window, in pixels, within which a lifted pixel looks for its depth."""
 
+TAU_STRIDE = 2
+"""Every so many-th row and column is enough for the mean likelihood of an image."""
+
+TAU_MOST = 0.3
+"""Upper bound of tau: what is as close as this is a match, even if the whole image is."""
+
 POSITION_VARIANCE = 1e-6
 """Square metres added to each camera's covariance before cameras are fused: no camera knows a point better than to a
 millimetre."""
@@ -108,6 +114,24 @@ def softmax_map(distance: Float[ndarray, "k h w"], alpha: float) -> tuple[Float[
     total = heat.sum(axis=(1, 2))
     heat /= total[:, None, None]
     return heat, np.log(total / distance[0].size) - alpha * nearest.astype(np.float64)
+
+
+def unseen_likelihood(
+    distance: Float[ndarray, "k h w"], alpha: float, tau: float | None, ratio: float
+) -> Float[ndarray, "k"]:
+    """tau of each keypoint: the likelihood of an image that does not show it; `tau` itself unless it is None.
+
+    Held against tau, exp(-alpha z) at a pixel decides whether the keypoint is rather there or out of sight. A constant
+    fits the distances of one network only: below the likelihood of background, look-alikes win over whatever leaves the
+    view; above that of matches, what is in view is lost. The default is a multiple of the likelihood's mean over the
+    image. At a ratio of one, an image without the keypoint would on average speak neither for the view nor against it;
+    but what looks alike does so in every frame, and is held down by a larger one. It has an upper bound for images
+    that the keypoint's surroundings fill.
+    """
+    if tau is not None:
+        return np.full(len(distance), tau)
+    mean = np.exp(-alpha * distance[:, ::TAU_STRIDE, ::TAU_STRIDE]).mean(axis=(1, 2))
+    return np.clip(ratio * mean, np.finfo(np.float32).tiny, TAU_MOST).astype(np.float64)
 
 
 @dataclass(frozen=True)

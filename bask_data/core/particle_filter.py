@@ -16,7 +16,7 @@ from numpy.random import Generator
 from scipy.special import ndtr
 
 from bask_data.core.geometry import in_image, invert_rigid, project, transform, unproject
-from bask_data.core.heatmap import Estimate, Motion, Observation, pixels_of, shrink_depth
+from bask_data.core.heatmap import Estimate, Motion, Observation, pixels_of, shrink_depth, unseen_likelihood
 
 LEAST_LIKELIHOOD = 1e-30
 """Stands for zero: a particle that cannot be right keeps a weight, so that not even a set without any right one has
@@ -28,6 +28,9 @@ DRAW_BLOCK = 4
 MODE_RADIUS = 0.03
 """Metres around the mode within which particles count as one hypothesis."""
 
+N_MODES = 32
+"""Number of particles whose surroundings are weighed in search of the mode."""
+
 
 @dataclass(frozen=True)
 class ParticleSettings:
@@ -36,9 +39,11 @@ class ParticleSettings:
     n_particles: int = 2000
     alpha: float = 4.0
     """Temperature: a pixel at distance z has correspondence likelihood exp(-alpha z)."""
-    tau: float = 0.1
-    """Likelihood of any observation if the camera does not see the particle. As exp(-alpha z) of a distance z at which
-    a pixel is as likely wrong as right, it lets a keypoint leave its place in the image for one out of sight."""
+    tau: float | None = None
+    """Likelihood of any observation if the camera does not see the particle; None: `unseen_likelihood` says it of each
+    frame."""
+    tau_ratio: float = 2.0
+    """Without `tau`: how much likelier the keypoint is out of sight than at the average pixel."""
     walk: float = 0.002
     """Standard deviation of the random walk in one frame and along each axis, metres."""
     gripper_probability: float = 0.5
@@ -55,6 +60,9 @@ class ParticleSettings:
     """Resample when the effective number of particles is below this share of all."""
     redraw_share: float = 0.01
     """Share of the particles drawn anew from each frame's heat maps."""
+    redraw_alpha: float = 8.0
+    """Temperature of the heat maps these are drawn from: where to look again is a search for the best matches, not a
+    posterior."""
     redraw_mass: float = 1e-3
     """Weight these get together: the probability that the track has been lost, in each frame."""
 
@@ -136,6 +144,7 @@ def likelihood(
 
     Source: von Hartz et al. 2023, Eq. 5 to 8.
     """
+    tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
     height, width = seen.depth.shape
     rotation, position = seen.world_from_camera[:3, :3], seen.world_from_camera[:3, 3]
     uv, x_d = project((points_world - position) @ rotation, seen.K)
@@ -149,9 +158,9 @@ def likelihood(
     p_o = np.where(measured, 1.0 - ndtr((z_d - (x_d - settings.occlusion_margin)) / sigma), 0.5)
     p_d = np.where(measured, np.exp(-0.5 * ((z_d - x_d) / sigma) ** 2), 1.0)
     p_c = np.exp(-settings.alpha * _sampled(seen, i_keypoint, uv))
-    seen_part, total = np.zeros(inside.shape), np.full(inside.shape, settings.tau)
+    seen_part, total = np.zeros(inside.shape), np.tile(tau[:, None], inside.shape[1])
     seen_part[i_keypoint, i_particle] = (1 - p_o) * p_d * p_c
-    total[i_keypoint, i_particle] = p_o * settings.tau
+    total[i_keypoint, i_particle] = p_o * tau[i_keypoint]
     return np.maximum(total + seen_part, LEAST_LIKELIHOOD), seen_part
 
 
@@ -263,7 +272,7 @@ def refresh(
     parts = np.array_split(np.arange(n_new), len(usable))
     new = np.concatenate(
         [
-            draw(seen, len(part), rng, settings.alpha, settings, DRAW_BLOCK)[0]
+            draw(seen, len(part), rng, settings.redraw_alpha, settings, DRAW_BLOCK)[0]
             for seen, part in zip(usable, parts, strict=True)
             if len(part)
         ],
@@ -278,12 +287,12 @@ def refresh(
     return points, weight
 
 
-def stratified(weight: Float[ndarray, "n"], uniform: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
+def stratified(weight: Float[ndarray, "m"], uniform: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
     """Indices of n particles, one drawn from each n-th of the cumulated weight: i appears n weight[i] times in the
     mean."""
-    n = len(weight)
+    n = len(uniform)
     total = np.cumsum(weight)
-    return np.searchsorted(total, (np.arange(n) + uniform) / n * total[-1], side="right").clip(max=n - 1)
+    return np.searchsorted(total, (np.arange(n) + uniform) / n * total[-1], side="right").clip(max=len(weight) - 1)
 
 
 def _normalised(log_weight: Float[ndarray, "k n"]) -> tuple[Float[ndarray, "k n"], Float[ndarray, "k"]]:
@@ -312,32 +321,30 @@ def _estimate(
         n_eff=1.0 / np.einsum("kn,kn->k", weight, weight),
         log_evidence=log_evidence,
         pixel=np.stack([pixels_of(mean, seen) for seen in observations]) if observations else np.zeros((0, k, 2)),
-        observed=np.array([share > 0.5 for share in seen_share]).reshape(len(observations), k),
+        observed=np.array([share > 0.5 for share in seen_share], dtype=bool).reshape(len(observations), k),
     )
 
 
 def mode(
     points: Float[ndarray, "k n 3"], weight: Float[ndarray, "k n"], radius: float = MODE_RADIUS
 ) -> Float[ndarray, "k 3"]:
-    """Mean of the heaviest cluster of particles.
+    """Mean of the ball of particles that holds the most weight, among balls around every so many-th of the weight.
 
-    The heaviest cell of a cubic grid starts a few steps of mean shift, which make up for the cluster's lying across
-    cells.
+    A histogram would be cheaper, but a cluster cut by its cells loses against a lighter one that is not.
     """
-    modes = np.empty((len(points), 3))
-    cells = np.floor(points / (2 * radius)).astype(np.int64) @ np.array([1, 1 << 20, 1 << 40])
-    for i, (some, w) in enumerate(zip(points, weight, strict=True)):
-        _, label = np.unique(cells[i], return_inverse=True)
-        near = (label == np.bincount(label, w).argmax()) * w
-        for _ in range(3):
-            centre = near @ some / near.sum()
-            offset = some - centre
-            closer = (np.einsum("ni,ni->n", offset, offset) < radius**2) * w
-            if not closer.sum() > 0:
-                break
-            near = closer
-        modes[i] = centre
-    return modes
+    k = len(points)
+    offset = (points - np.einsum("kn,kni->ki", weight, points)[:, None]).astype(np.float32)
+    some = np.stack([one[stratified(w, np.full(N_MODES, 0.5))] for one, w in zip(offset, weight, strict=True)])
+    square = np.einsum("kni,kni->kn", offset, offset)[:, None] - 2 * some @ offset.transpose(0, 2, 1)
+    near = square < np.float32(radius**2) - np.einsum("kci,kci->kc", some, some)[..., None]
+    heaviest = (near @ weight.astype(np.float32)[..., None])[..., 0].argmax(axis=1)
+    inside = near[np.arange(k), heaviest] * weight
+    for _ in range(2):
+        centre = np.einsum("kn,kni->ki", inside, points) / inside.sum(axis=1)[:, None]
+        away = points - centre[:, None]
+        shifted = (np.einsum("kni,kni->kn", away, away) < radius**2) * weight
+        inside = np.where(shifted.sum(axis=1)[:, None] > 0, shifted, inside)
+    return np.einsum("kn,kni->ki", inside, points) / inside.sum(axis=1)[:, None]
 
 
 def _nothing(observations: Sequence[Observation]) -> Estimate:
