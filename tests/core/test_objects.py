@@ -7,55 +7,7 @@ from hypothesis import strategies as st
 
 from bask_data.core import objects
 from bask_data.core.geometry import transform
-
-
-def sheet(origin, along, across, step):
-    """A rectangle as a triangle mesh, corners counter-clockwise seen from `along` x `across`."""
-    origin, along, across = (np.asarray(one, float) for one in (origin, along, across))
-    n, m = (max(2, round(float(np.linalg.norm(one)) / step) + 1) for one in (along, across))
-    i, j = np.mgrid[:n, :m]
-    vertices = origin + (i / (n - 1))[..., None] * along + (j / (m - 1))[..., None] * across
-    index = np.arange(n * m).reshape(n, m)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    triangles = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
-    return vertices.reshape(-1, 3), triangles
-
-
-def joined(parts):
-    """One mesh; vertices at the same place become one. Also the number of the first part each vertex came from."""
-    vertices = np.concatenate([part[0] for part in parts])
-    start = np.cumsum([0, *(len(part[0]) for part in parts)])
-    triangles = np.concatenate([part[1] + begin for part, begin in zip(parts, start[:-1], strict=True)])
-    source = np.repeat(np.arange(len(parts)), np.diff(start))
-    _, first, inverse = np.unique(np.round(vertices, 7), axis=0, return_index=True, return_inverse=True)
-    return vertices[first].astype(np.float32), inverse.reshape(-1)[triangles].astype(np.int32), source[first]
-
-
-def block(x, y, size, step, bottom=0.0):
-    """Five faces of a box that stands at (x, y): the underside is unseen."""
-    w, d, h = size
-    return joined(
-        [
-            sheet((x, y, bottom), (w, 0, 0), (0, 0, h), step),
-            sheet((x + w, y, bottom), (0, d, 0), (0, 0, h), step),
-            sheet((x + w, y + d, bottom), (-w, 0, 0), (0, 0, h), step),
-            sheet((x, y + d, bottom), (0, -d, 0), (0, 0, h), step),
-            sheet((x, y, bottom + h), (w, 0, 0), (0, d, 0), step),
-        ]
-    )[:2]
-
-
-def scene(blocks, step=0.004, noise=0.0, seed=0):
-    """A table of 0.7 x 0.6 m with blocks (x, y, (w, d, h)); the truth is 0 on the table and 1.. on the blocks."""
-    vertices, triangles, source = joined(
-        [sheet((-0.35, -0.3, 0), (0.7, 0, 0), (0, 0.6, 0), step), *(block(*one, step) for one in blocks)]
-    )
-    source = np.where(vertices[:, 2] <= 0, 0, source)
-    noisy = vertices + np.random.default_rng(seed).normal(scale=noise, size=vertices.shape)
-    return noisy.astype(np.float32), triangles, source
-
-
-THREE = [(-0.2, -0.1, (0.10, 0.06, 0.08)), (0.0, 0.05, (0.05, 0.05, 0.05)), (0.15, -0.15, (0.04, 0.04, 0.12))]
+from tests.meshes import THREE, block, joined, sheet, table
 
 
 def split(vertices, triangles, seed=0, **options):
@@ -63,7 +15,7 @@ def split(vertices, triangles, seed=0, **options):
 
 
 def test_every_object_is_found_and_numbered_by_its_surface():
-    vertices, triangles, truth = scene(THREE)
+    vertices, triangles, truth = table(THREE)
     result = split(vertices, triangles)
     assert [round(one.area, 4) for one in result.instances] == pytest.approx([0.0316, 0.0208, 0.0125], abs=0.0015)
     expected = np.array([0, 1, 3, 2])[truth]
@@ -76,7 +28,7 @@ def test_every_object_is_found_and_numbered_by_its_surface():
 
 
 def test_the_lowest_centimetre_belongs_to_the_object():
-    vertices, triangles, truth = scene(THREE, step=0.002)
+    vertices, triangles, truth = table(THREE, step=0.002)
     result = split(vertices, triangles, voxel_size=0.004)
     low = (truth > 0) & (vertices[:, 2] < 0.01) & (vertices[:, 2] > 0)
     assert (result.vertex_instance[low] > 0).all()
@@ -84,7 +36,7 @@ def test_the_lowest_centimetre_belongs_to_the_object():
 
 
 def test_without_its_feet_an_object_ends_at_the_cut():
-    vertices, triangles, truth = scene(THREE, step=0.002)
+    vertices, triangles, truth = table(THREE, step=0.002)
     result = split(vertices, triangles, cut=0.01)
     below = (truth > 0) & (vertices[:, 2] > 0) & (vertices[:, 2] < 0.01)
     feet = np.flatnonzero(below)
@@ -96,7 +48,7 @@ def test_without_its_feet_an_object_ends_at_the_cut():
 
 
 def test_bumps_of_the_table_beside_an_object_are_table():
-    vertices, triangles, truth = scene(THREE, step=0.004)
+    vertices, triangles, truth = table(THREE, step=0.004)
     # Small bumps, within eps of the first block and higher than the cut.
     bump = (truth == 0) & (np.abs(vertices[:, 0] + 0.15) < 0.008) & (np.abs(vertices[:, 1] + 0.115) < 0.005)
     assert bump.any()
@@ -107,7 +59,7 @@ def test_bumps_of_the_table_beside_an_object_are_table():
 
 
 def test_a_thin_flat_object_is_an_object():
-    vertices, triangles, truth = scene([*THREE, (-0.25, 0.1, (0.12, 0.09, 0.008))], step=0.002)
+    vertices, triangles, truth = table([*THREE, (-0.25, 0.1, (0.12, 0.09, 0.008))], step=0.002)
     result = split(vertices, triangles)
     assert len(result.instances) == 4
     flat = result.vertex_instance[truth == 4]
@@ -116,7 +68,7 @@ def test_a_thin_flat_object_is_an_object():
 
 
 def test_noise_of_the_table_is_no_object():
-    vertices, triangles, _ = scene(THREE, noise=0.0015)
+    vertices, triangles, _ = table(THREE, noise=0.0015)
     result = split(vertices, triangles)
     assert len(result.instances) == 3
     assert result.noise == pytest.approx(0.0015, rel=0.1)
@@ -128,7 +80,7 @@ def test_noise_of_the_table_is_no_object():
 def test_a_rigid_motion_changes_nothing(seed):
     from scipy.spatial.transform import Rotation
 
-    vertices, triangles, truth = scene(THREE)
+    vertices, triangles, truth = table(THREE)
     moved_from_world = np.eye(4)
     moved_from_world[:3, :3] = Rotation.random(random_state=seed).as_matrix()
     moved_from_world[:3, 3] = np.random.default_rng(seed).normal(size=3)
@@ -141,7 +93,7 @@ def test_a_rigid_motion_changes_nothing(seed):
 @settings(max_examples=8)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_permuting_the_vertices_permutes_the_labels(seed):
-    vertices, triangles, _ = scene(THREE)
+    vertices, triangles, _ = table(THREE)
     order = np.random.default_rng(seed).permutation(len(vertices))
     place = np.argsort(order).astype(np.int32)
     plane = np.array([0.0, 0, 1, 0])
@@ -152,12 +104,12 @@ def test_permuting_the_vertices_permutes_the_labels(seed):
 
 @pytest.mark.parametrize("step", [0.002, 0.004, 0.006])
 def test_the_count_does_not_depend_on_how_finely_the_surface_is_sampled(step):
-    vertices, triangles, _ = scene([*THREE, (-0.1, -0.25, (0.03, 0.03, 0.02))], step=step)
+    vertices, triangles, _ = table([*THREE, (-0.1, -0.25, (0.03, 0.03, 0.02))], step=step)
     assert len(split(vertices, triangles, voxel_size=step).instances) == 4
 
 
 def test_a_given_plane_is_kept_and_bounds_nothing_but_below():
-    vertices, triangles, truth = scene(THREE)
+    vertices, triangles, truth = table(THREE)
     # Only the objects, as when a shiny floor is not seen at all.
     triangles = triangles[(truth[triangles] > 0).all(axis=1)]
     result = split(vertices, triangles, plane=np.array([0.0, 0, 2.0, -0.02]))
@@ -168,20 +120,20 @@ def test_a_given_plane_is_kept_and_bounds_nothing_but_below():
 
 
 def test_without_a_plane_the_table_joins_what_stands_on_it():
-    vertices, triangles, _ = scene(THREE)
+    vertices, triangles, _ = table(THREE)
     [only] = split(vertices, triangles, without_plane=True, max_extent=1.0).instances
     assert only.n_vertices == len(vertices)
 
 
 def test_too_small_and_too_large_clusters_are_counted_background():
-    vertices, triangles, truth = scene([*THREE, (-0.3, 0.2, (0.35, 0.02, 0.02)), (0.2, 0.2, (0.012, 0.012, 0.012))])
+    vertices, triangles, truth = table([*THREE, (-0.3, 0.2, (0.35, 0.02, 0.02)), (0.2, 0.2, (0.012, 0.012, 0.012))])
     result = split(vertices, triangles, max_extent=0.3)
     assert (result.n_too_small, result.n_too_large, len(result.instances)) == (1, 1, 3)
     assert (result.vertex_instance[truth >= 4] == 0).all()
 
 
 def test_what_is_beside_the_table_or_far_above_it_is_background():
-    vertices, triangles, truth = scene(
+    vertices, triangles, truth = table(
         [
             *THREE,
             (0.45, 0.0, (0.1, 0.1, 0.1)),
@@ -209,14 +161,14 @@ def test_no_more_than_255_instances():
 
 def test_equal_objects_are_numbered_by_where_they_are():
     same = (0.05, 0.05, 0.05)
-    vertices, triangles, _ = scene([(0.2, 0.1, same), (-0.2, 0.1, same), (-0.2, -0.15, same)], step=0.005)
+    vertices, triangles, _ = table([(0.2, 0.1, same), (-0.2, 0.1, same), (-0.2, -0.15, same)], step=0.005)
     result = split(vertices, triangles, plane=np.array([0.0, 0, 1, 0]))
     centroids = [one.centroid[:2] for one in result.instances]
     np.testing.assert_allclose(centroids, [(-0.175, -0.125), (-0.175, 0.125), (0.225, 0.125)], atol=1e-3)
 
 
 def test_an_empty_table_has_no_objects_and_an_empty_mesh_no_plane():
-    vertices, triangles, _ = scene([])
+    vertices, triangles, _ = table([])
     result = split(vertices, triangles)
     assert result.instances == ()
     assert not result.vertex_instance.any()
@@ -236,7 +188,7 @@ def test_a_rival_plane_is_reported():
 
 
 def test_same_seed_same_labels():
-    vertices, triangles, _ = scene(THREE, noise=0.001)
+    vertices, triangles, _ = table(THREE, noise=0.001)
     one, two = split(vertices, triangles, seed=3), split(vertices, triangles, seed=3)
     np.testing.assert_array_equal(one.vertex_instance, two.vertex_instance)
     np.testing.assert_array_equal(one.plane, two.plane)
@@ -245,12 +197,12 @@ def test_same_seed_same_labels():
 @pytest.mark.parametrize("options", [{"voxel_size": 0.0}, {"eps": 0.0}])
 def test_sizes_that_are_not_positive_are_refused(options):
     with pytest.raises(ValueError, match="voxel_size and eps must be > 0 metres"):
-        split(*scene([])[:2], **options)
+        split(*table([])[:2], **options)
 
 
 def test_a_plane_without_a_normal_is_refused():
     with pytest.raises(ValueError, match="normal must not be zero"):
-        split(*scene([])[:2], plane=np.zeros(4))
+        split(*table([])[:2], plane=np.zeros(4))
 
 
 def test_vertex_areas_sum_to_the_surface_and_normals_face_the_seen_side():

@@ -1,0 +1,143 @@
+"""The objects of a scene, split from what they stand on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from bask_data.errors import UsageError
+from bask_data.kinds import InstanceRow, ObjectInstances, Reconstruction, Scan
+from bask_data.stage import Params, stage
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from bask_data.core.objects import Split
+
+
+class ObjectsParams(Params):
+    """What changes the split."""
+
+    support: Literal["plane", "none"] = Field(
+        "plane", description="What the objects stand on; none: everything in the workspace is an object."
+    )
+    plane: tuple[float, float, float, float] | None = Field(
+        None,
+        description="The support nx,ny,nz,d in the world frame, metres, n towards the objects and n.x + d = 0. "
+        "Default: found.",
+    )
+    up: tuple[float, float, float] | None = Field(
+        None,
+        description="Only look for a support facing this way, in the world frame. Default: guessed from the cameras.",
+    )
+    inlier: float = Field(0.01, gt=0, description="Metres a point may be off the support while it is looked for.")
+    cut: float | None = Field(
+        None,
+        ge=0,
+        description="Height above the support from which surface is clustered, metres. "
+        "Default: a voxel, or 4 sigma of the support's noise.",
+    )
+    margin: float = Field(0.0, description="Metres an object may stand out over the edge of the support that was seen.")
+    max_height: float = Field(1.0, gt=0, description="Metres above the support beyond which nothing is an object.")
+    eps: float = Field(0.03, gt=0, description="Largest gap within one object, metres.")
+    core_area: float | None = Field(
+        None,
+        gt=0,
+        description="Surface within eps that makes a point the core of an object, m2. Default: 0.2 pi eps^2.",
+    )
+    min_area: float = Field(0.001, ge=0, description="Surface an object has at least, m2.")
+    max_extent: float = Field(0.6, gt=0, description="Length of an object at most, metres.")
+    names: tuple[str, ...] = Field((), description="Names of the objects, that of the largest surface first.")
+    seed: int = Field(0, ge=0, description="Seed of the random choices.")
+
+
+@stage(makes=ObjectInstances, version=1)
+def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, out: Path) -> None:
+    """Split the surface into the objects on its support and the background.
+
+    The support is the largest plane that faces up, as far as the cameras tell. What stands on it is clustered
+    (DBSCAN); objects are numbered by their surface, the largest first. Objects that touch are one.
+    """
+    import numpy as np
+
+    from bask_data.core.objects import split_objects
+    from bask_data.core.planes import upward
+
+    if params.plane is not None and params.support == "none":
+        raise UsageError("objects", "plane", expected="no plane with --support none", got=f"{params.plane}")
+    split = split_objects(
+        reconstruction.vertices,
+        reconstruction.triangles,
+        np.random.default_rng(params.seed),
+        voxel_size=reconstruction.voxel_size,
+        plane=_vector("plane", params.plane),
+        without_plane=params.support == "none",
+        up=_unit("up", params.up),
+        guess_up=upward(np.concatenate([camera.world_from_cameras for camera in scan.cameras])),
+        inlier=params.inlier,
+        cut=params.cut,
+        margin=params.margin,
+        max_height=params.max_height,
+        eps=params.eps,
+        core_area=params.core_area,
+        min_area=params.min_area,
+        max_extent=params.max_extent,
+    )
+    names = [*params.names, *[""] * len(split.instances)]
+    ObjectInstances.write(
+        out,
+        vertex_instance=split.vertex_instance,
+        support_plane=np.zeros(4) if split.plane is None else split.plane,
+        instances=[
+            InstanceRow(
+                id=one.id,
+                name=name,
+                n_vertices=one.n_vertices,
+                area_m2=one.area,
+                centroid=one.centroid,
+                extents=one.extents,
+            )
+            for one, name in zip(split.instances, names, strict=False)
+        ],
+        warnings=_warnings(split, params),
+    )
+
+
+def _vector(name: str, values: tuple[float, ...] | None) -> np.ndarray | None:
+    import numpy as np
+
+    if values is None:
+        return None
+    vector = np.asarray(values, dtype=np.float64)
+    if not np.linalg.norm(vector[:3]) > 0:
+        raise UsageError("objects", name, expected="a direction that is not zero", got=",".join(map(str, values)))
+    return vector
+
+
+def _unit(name: str, values: tuple[float, ...] | None) -> np.ndarray | None:
+    import numpy as np
+
+    vector = _vector(name, values)
+    return None if vector is None else vector / np.linalg.norm(vector)
+
+
+def _warnings(split: Split, params: ObjectsParams) -> list[str]:
+    """What a person should look at, a sentence each."""
+    told = list(split.warnings)
+    if split.n_too_large:
+        told.append(
+            f"{split.n_too_large} clusters longer than {params.max_extent} m became background: furniture, or objects "
+            "that touch; see --max-extent, --eps and the workspace of `reconstruct`"
+        )
+    if split.n_too_many:
+        told.append(f"only the 255 largest objects were kept, {split.n_too_many} more became background")
+    if not split.instances:
+        told.append(
+            f"no object was found ({split.n_too_small} clusters smaller than {params.min_area} m2): look at the mesh, "
+            "then see --plane, --up, --cut and --min-area"
+        )
+    elif len(params.names) > len(split.instances):
+        told.append(f"{len(params.names)} names were given, but {len(split.instances)} objects found")
+    return told
