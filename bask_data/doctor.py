@@ -34,8 +34,17 @@ PACKAGE_OF_LIBRARY = {
     "libz.so.1": "zlib1g",
 }
 
-# Modules that load compiled code, which can fail or crash where the distribution is installed all right.
-PROBED_MODULES = ("cv2", "numba", "open3d", "pyarrow", "pycolmap", "sklearn", "torch", "zarr")
+# Modules that load compiled code, which can fail or crash even where their distribution is installed all right.
+DISTRIBUTION_OF_MODULE = {
+    "cv2": "opencv-python-headless",
+    "numba": "numba",
+    "open3d": "open3d",
+    "pyarrow": "pyarrow",
+    "pycolmap": "pycolmap",
+    "sklearn": "scikit-learn",
+    "torch": "torch",
+    "zarr": "zarr",
+}
 
 # Distributions that put files in the same place; the one installed last wins, and uninstalling either breaks the other.
 RIVALS = {
@@ -76,7 +85,7 @@ class Probe:
 def checks(folder: Path | None = None) -> list[Check]:
     """Everything there is to know of this machine before work starts, with datasets going to `folder`."""
     with ThreadPoolExecutor(max_workers=2) as pool:
-        modules = list(pool.map(module_check, PROBED_MODULES))
+        modules = list(pool.map(module_check, DISTRIBUTION_OF_MODULE))
     return [
         python_check(sys.version_info[:2]),
         *library_checks(missing_libraries()),
@@ -189,7 +198,7 @@ def module_check(module: str) -> Check:
     if library:
         fix = f"sudo apt-get install --no-install-recommends {PACKAGE_OF_LIBRARY[library]}"
     elif not answer.ok:
-        fix = f"pip install --force-reinstall --no-deps {module}, and look at: {sys.executable} -c 'import {module}'"
+        fix = f"pip install --force-reinstall --no-deps {DISTRIBUTION_OF_MODULE[module]}"
     return Check(f"import {module}", answer.ok, "works" if answer.ok else answer.fault, fix=fix)
 
 
@@ -234,17 +243,16 @@ def optional_checks(installed: dict[str, str]) -> list[Check]:
     """What only some commands need."""
     git = shutil.which("git")
     return [
-        Check("git", git is not None, git or "not found", False, "sudo apt-get install git, for DVC pipelines"),
-        _extra_check("dvc", "dvc", "to run pipelines with `dvc repro`", installed),
-        _extra_check("distributed", "cluster", "for --cluster", installed),
+        Check("git", git is not None, git or "not found; DVC needs it", False, "sudo apt-get install git"),
+        _extra_check("dvc", "dvc", "`dvc repro` needs it", installed),
+        _extra_check("distributed", "cluster", "--cluster needs it", installed),
     ]
 
 
 def _extra_check(name: str, extra: str, purpose: str, installed: dict[str, str]) -> Check:
     version = installed.get(name)
-    return Check(
-        name, version is not None, version or "not installed", False, f"pip install 'bask-data[{extra}]', {purpose}"
-    )
+    found = version or f"not installed; {purpose}"
+    return Check(name, version is not None, found, False, f"pip install 'bask-data[{extra}]'")
 
 
 def disk_check(folder: Path) -> Check:
