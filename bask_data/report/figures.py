@@ -1,0 +1,526 @@
+"""The figures of a report: artifacts opened, held against each other by `core.scores`, and put in plain values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, is_dataclass
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+
+from bask_data.artifact import MANIFEST, Artifact, Manifest, read_json
+from bask_data.core import scores
+from bask_data.dataset import Dataset
+from bask_data.errors import BadData, BaskError
+from bask_data.kinds import (
+    KINDS,
+    Camera,
+    Correspondences,
+    Demonstration,
+    DescriptorNet,
+    KeypointTrack,
+    ObjectInstances,
+    Pick,
+    Reconstruction,
+    Recording,
+    ReferenceKeypoints,
+    Scan,
+    Truth,
+    VisibleMasks,
+)
+from bask_data.progress import progress
+
+TOLERANCE_PX = 5.0
+"""A keypoint this close to its object counts as near: labels drawn by people are not better than that."""
+N_SAMPLED = 8
+"""Frames looked at for figures that need no more than an impression."""
+
+A = TypeVar("A", bound=Artifact)
+
+
+def find(dataset: Dataset, kind: type[A], item: str = "", variant: str = "main") -> A | None:
+    """The artifact, or None if it was not made."""
+    path = dataset.path(kind, item, variant)
+    return kind(path) if (path / MANIFEST).exists() else None
+
+
+def find_recording(dataset: Dataset, item: str) -> Recording | None:
+    """A scan or demonstration by name; None for names that are no item, as those in strangers' files may be."""
+    if item in dataset.file.scenes:
+        return find(dataset, Scan, item)
+    if item in dataset.file.demonstrations:
+        return find(dataset, Demonstration, item)
+    return None
+
+
+def find_truth(dataset: Dataset, item: str) -> Truth | None:
+    """The ground truth of a recording, if there is one."""
+    return find(dataset, Truth, item) if item in dataset.items("recording") else None
+
+
+def spread_frames(n_frames: int, n_wanted: int) -> list[int]:
+    """Frames spread evenly from the first to the last."""
+    return sorted({int(i) for i in np.linspace(0, n_frames - 1, min(n_wanted, n_frames)).round()}) if n_frames else []
+
+
+def plain(value: Any) -> Any:
+    """The value in JSON's terms: dataclasses as objects, what is not finite as None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, dict):
+        return {str(key): plain(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(one) for one in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def summary(dataset: Dataset) -> dict[str, Any]:
+    """All figures of all items."""
+    scenes, demonstrations = dataset.items("scene"), dataset.items("demonstration")
+    result: dict[str, Any] = {
+        "dataset": dataset.file.name,
+        "artifacts": made(dataset),
+        "recordings": _each(dataset.items("recording"), lambda name: recording_figures(find_recording(dataset, name))),
+        "reconstruction": _each(scenes, lambda name: reconstruction_figures(find(dataset, Reconstruction, name))),
+        "objects": _each(scenes, lambda name: objects_figures(find(dataset, ObjectInstances, name))),
+        "masks": _each(
+            scenes, lambda name: masks_figures(find(dataset, VisibleMasks, name), find_truth(dataset, name))
+        ),
+        "correspondences": _each(scenes, lambda name: matches_figures(find(dataset, Correspondences, name))),
+        "descriptor": _each(
+            list(dataset.variants(DescriptorNet)),
+            lambda variant: descriptor_figures(find(dataset, DescriptorNet, "", variant)),
+        ),
+        "keypoints": {
+            variant: _each(demonstrations, lambda name: track_figures(dataset, name, variant))  # noqa: B023
+            for variant in dataset.variants(KeypointTrack)
+        },
+    }
+    return plain({name: value for name, value in result.items() if value not in ({}, None)})
+
+
+def _each(names: Sequence[str], figures: Any) -> dict[str, Any]:
+    """Figures by name, without those that have none; what cannot be read says why."""
+    found: dict[str, Any] = {}
+    for name in names:
+        try:
+            value = figures(name)
+        except BaskError as error:
+            value = {"error": str(error)}
+        if value:
+            found[name] = value
+    return found
+
+
+@dataclass(frozen=True)
+class MadeArtifact:
+    """One line of the list of what was made; `seconds` and `peak_bytes` are None where no record was kept."""
+
+    artifact: str
+    made_by: str
+    bytes: int
+    digest: str
+    seconds: float | None
+    peak_bytes: int | None
+    time: str
+
+
+def made(dataset: Dataset) -> list[MadeArtifact]:
+    """Every artifact of the dataset that exists, in the order of the stages."""
+    found = []
+    for kind in KINDS:
+        items = [""] if kind.scope == "dataset" else dataset.items(kind.scope)
+        for variant in dataset.variants(kind):
+            for item in items:
+                artifact = find(dataset, kind, item, variant)
+                if artifact is not None:
+                    found.append(_made(dataset, artifact))
+    return found
+
+
+def _made(dataset: Dataset, artifact: Artifact) -> MadeArtifact:
+    relative = artifact.path.relative_to(dataset.root)
+    try:
+        manifest = artifact.manifest
+    except BadData:
+        return MadeArtifact(relative.as_posix(), "unreadable manifest", 0, "", None, None, "")
+    record: Any = {}
+    file = dataset.root / "provenance" / relative.parent / f"{relative.name}.json"
+    if file.exists():
+        try:
+            record = read_json(file)
+        except BadData:
+            record = {}
+    # A record of an earlier making says nothing of this one.
+    record = record if isinstance(record, dict) and record.get("key") == manifest.key else {}
+    seconds, peak = record.get("seconds"), record.get("process_peak_bytes")
+    return MadeArtifact(
+        artifact=relative.as_posix(),
+        made_by=f"{manifest.stage} v{manifest.stage_version}",
+        bytes=sum(entry.bytes for entry in manifest.files.values()),
+        digest=manifest.digest,
+        seconds=float(seconds) if isinstance(seconds, (int, float)) else None,
+        peak_bytes=int(peak) if isinstance(peak, (int, float)) else None,
+        time=str(record.get("time", "")),
+    )
+
+
+def recording_figures(recording: Recording | None) -> dict[str, Any]:
+    """Frames, size, duration, camera path and depth of each camera."""
+    if recording is None:
+        return {}
+    return {camera.name: _camera_figures(camera) for camera in recording.cameras}
+
+
+def _camera_figures(camera: Camera) -> dict[str, Any]:
+    measured, depths = [], []
+    for i_frame in spread_frames(camera.n_frames, N_SAMPLED):
+        depth = camera.depth(i_frame)
+        measured.append(float((depth > 0).mean()))
+        depths.append(depth[depth > 0][::17])
+    all_depths = np.concatenate(depths) if depths else np.zeros(0, np.float32)
+    steps = np.linalg.norm(np.diff(camera.world_from_cameras[:, :3, 3], axis=0), axis=1)
+    return {
+        "n_frames": camera.n_frames,
+        "width": camera.width,
+        "height": camera.height,
+        "seconds": float(camera.time[-1] - camera.time[0]) if camera.n_frames else 0.0,
+        "path_m": float(steps.sum()),
+        "depth_share": float(np.mean(measured)) if measured else math.nan,
+        "depth_m": scores.distribution(all_depths),
+        "depth_range_m": [float(x) for x in np.percentile(all_depths, [2, 98])] if len(all_depths) else [0.0, 1.0],
+    }
+
+
+def reconstruction_figures(reconstruction: Reconstruction | None) -> dict[str, Any]:
+    """Size of the mesh and what the fusion says of its quality."""
+    if reconstruction is None:
+        return {}
+    low, high = np.array(reconstruction.metadata.bounds).reshape(2, 3)
+    return {
+        "n_vertices": len(reconstruction.vertices),
+        "n_triangles": len(reconstruction.triangles),
+        "voxel_size_m": reconstruction.voxel_size,
+        "bounds_m": [low.tolist(), high.tolist()],
+        "quality": dict(reconstruction.metadata.quality),
+    }
+
+
+def objects_figures(objects: ObjectInstances | None) -> dict[str, Any]:
+    """The table of instances."""
+    if objects is None:
+        return {}
+    return {
+        "n_objects": len(objects.instances),
+        "background_share": float((objects.vertex_instance == 0).mean()) if len(objects.vertex_instance) else math.nan,
+        "instances": [row.model_dump() for row in objects.instances],
+        "warnings": list(objects.metadata.warnings),
+    }
+
+
+def masks_figures(masks: VisibleMasks | None, truth: Truth | None) -> dict[str, Any]:
+    """Per instance how visible it is, and, with labels, the IoU of each label with its best instance over all frames."""
+    if masks is None:
+        return {}
+    table = np.zeros((scores.N_LABELS, scores.N_LABELS), dtype=np.int64)
+    n_pixels = np.zeros(scores.N_LABELS, dtype=np.int64)
+    fractions, n_frames, n_labelled = [], 0, 0
+    for name in masks.camera_names:
+        camera = masks.camera(name)
+        n_frames += camera.n_frames
+        fractions.append(camera.visible_fraction)
+        labelled = truth is not None and name in truth.camera_names
+        for i_frame in progress(range(camera.n_frames), f"measuring masks of {masks.path.name}"):
+            instance = camera.instance(i_frame)
+            n_pixels += np.bincount(instance.ravel(), minlength=scores.N_LABELS)
+            if labelled and truth is not None:
+                table += _same_size_overlap(truth.instance(name, i_frame), instance, truth, name)
+                n_labelled += 1
+    return {
+        "n_frames": n_frames,
+        "pixels": dict(masks.metadata.pixels),
+        "instances": _visibility(np.concatenate(fractions) if fractions else np.zeros((0, 0)), n_pixels),
+        "labels": _label_matches(table, truth) if truth is not None and n_labelled else None,
+        "n_labelled_frames": n_labelled,
+    }
+
+
+def _same_size_overlap(labels: np.ndarray, instance: np.ndarray, truth: Truth, camera: str) -> np.ndarray:
+    if labels.shape != instance.shape:
+        raise BadData(
+            truth.path / camera / "instance", "shape", expected=f"{instance.shape} as the masks", got=labels.shape
+        )
+    return scores.overlap(labels, instance)
+
+
+def _visibility(fraction: np.ndarray, n_pixels: np.ndarray) -> list[dict[str, Any]]:
+    rows = []
+    for i in range(fraction.shape[1]):
+        known = fraction[:, i][np.isfinite(fraction[:, i])]
+        rows.append(
+            {
+                "id": i + 1,
+                "n_frames_in_view": len(known),
+                "n_frames_seen": int((known > 0).sum()),
+                "visible_fraction": scores.distribution(known),
+                "least_visible": float(known.min()) if len(known) else math.nan,
+                "n_pixels": int(n_pixels[i + 1]) if i + 1 < len(n_pixels) else 0,
+            }
+        )
+    return rows
+
+
+def _label_matches(table: np.ndarray, truth: Truth) -> list[dict[str, Any]]:
+    matches = scores.best_instances(table)
+    taken = [match.instance for match in matches]
+    return [
+        {
+            **asdict(match),
+            "name": truth.label_names.get(match.label, f"label {match.label}"),
+            "shared": match.instance > 0 and taken.count(match.instance) > 1,
+        }
+        for match in matches
+    ]
+
+
+def matches_figures(correspondences: Correspondences | None) -> dict[str, Any]:
+    """How many matches, between how different views, and why candidates were rejected."""
+    if correspondences is None:
+        return {}
+    pairs = correspondences.pairs()
+    column = {name: pairs[name].to_numpy() for name in ("n_attempts", "n_matches", "distance", "angle")}
+    counts = correspondences.matches()["instance"].value_counts().to_pylist()
+    attempts = int(column["n_attempts"].sum())
+    return {
+        "n_pairs": pairs.num_rows,
+        "n_matches": int(column["n_matches"].sum()),
+        "n_attempts": attempts,
+        "accepted_share": int(column["n_matches"].sum()) / attempts if attempts else math.nan,
+        "n_pairs_without_match": int((column["n_matches"] == 0).sum()),
+        "matches_per_pair": scores.distribution(column["n_matches"].astype(np.float64)),
+        "distance_m": scores.distribution(column["distance"]),
+        "angle_deg": scores.distribution(np.rad2deg(column["angle"])),
+        "matches_per_instance": {int(row["values"]): int(row["counts"]) for row in sorted(counts, key=_instance)},
+        "rejections": dict(correspondences.metadata.rejections),
+        "warnings": list(correspondences.metadata.warnings),
+    }
+
+
+def _instance(row: dict[str, int]) -> int:
+    return row["values"]
+
+
+def descriptor_figures(descriptor: DescriptorNet | None) -> dict[str, Any]:
+    """What the network was validated on, and how well it did."""
+    if descriptor is None:
+        return {}
+    steps = descriptor.curve()["step"].to_numpy()
+    return {
+        "validated_on": descriptor.metadata.validated_on,
+        "metrics": dict(descriptor.metadata.metrics),
+        "n_steps": int(steps.max()) if len(steps) else 0,
+        "model": {key: value for key, value in descriptor.model.items() if isinstance(value, (str, int, float, bool))},
+    }
+
+
+def input_path(manifest: Manifest, kind: type[Artifact]) -> str | None:
+    """Where in the dataset an artifact's input of a kind lay, by its manifest."""
+    return next((path for path in sorted(manifest.inputs) if path.split("/")[0] == kind.kind), None)
+
+
+def input_variant(dataset: Dataset, artifact: Artifact, kind: type[A], fallback: str) -> A | None:
+    """The dataset-wide input that an artifact was made from, or that of the fallback variant if no record says."""
+    path = input_path(artifact.manifest, kind)
+    variant = path.split("/")[1] if path and path.count("/") == 1 else fallback
+    return find(dataset, kind, "", variant if variant in dataset.variants(kind) else fallback)
+
+
+@dataclass(frozen=True)
+class KnownKeypoint:
+    """What the ground truth knows of one keypoint in a demonstration."""
+
+    label: int
+    """Of the object it was picked on; 0 is background, -1 unknown."""
+    place: np.ndarray
+    """Where it truly is, metres, world frame of the demonstration; NaN where not known."""
+
+
+class TrackScores:
+    """A track held against the ground truth of its demonstration, as far as there is one."""
+
+    def __init__(self, dataset: Dataset, demonstration: str, variant: str) -> None:
+        track = find(dataset, KeypointTrack, demonstration, variant)
+        assert track is not None, "asked only for tracks that exist"
+        self.track = track
+        self.recording = find_recording(dataset, demonstration)
+        self.truth = find_truth(dataset, demonstration)
+        self._dataset, self._variant = dataset, variant
+
+    @cached_property
+    def reference(self) -> ReferenceKeypoints | None:
+        """The reference keypoints that are tracked."""
+        return input_variant(self._dataset, self.track, ReferenceKeypoints, self._variant)
+
+    @cached_property
+    def picks(self) -> list[Pick | None]:
+        """The pick of each keypoint, by name; None where the reference does not have it."""
+        by_name = {pick.name: pick for pick in self.reference.picks} if self.reference else {}
+        return [by_name.get(name) for name in self.track.names]
+
+    @cached_property
+    def known(self) -> list[KnownKeypoint]:
+        """What is known of each keypoint."""
+        return [_known_keypoint(self._dataset, pick, self.truth) for pick in self.picks]
+
+    @cached_property
+    def labels(self) -> np.ndarray:
+        """Object label of each keypoint; 0 where unknown or background."""
+        return np.array([max(known.label, 0) for known in self.known], dtype=np.int64)
+
+    @cached_property
+    def places(self) -> np.ndarray:
+        """(k, 3) metres, world; NaN where not known."""
+        return np.array([known.place for known in self.known], dtype=np.float64).reshape(-1, 3)
+
+    @cached_property
+    def error(self) -> np.ndarray:
+        """(t, k) metres; NaN where not known."""
+        return scores.position_error(self.track.mean, self.places)
+
+    @cached_property
+    def spread(self) -> np.ndarray:
+        """(t, k) metres."""
+        return scores.spread(self.track.covariance)
+
+    @cached_property
+    def landings(self) -> dict[str, list[scores.Landing]]:
+        """Per camera with labels, where the keypoints lie in each frame."""
+        truth = self.truth
+        if truth is None or not self.labels.any():
+            return {}
+        return {
+            camera: [
+                scores.landing(pixel, self.labels, truth.instance(camera, i_frame), TOLERANCE_PX)
+                for i_frame, pixel in enumerate(self.track.pixel(camera))
+            ]
+            for camera in self.track.camera_names
+            if camera in truth.camera_names
+        }
+
+    @property
+    def all_landings(self) -> list[scores.Landing]:
+        """Of all cameras and frames."""
+        return [one for landings in self.landings.values() for one in landings]
+
+    def why_no_error(self) -> str:
+        """Why there is no error against the static truth, in words; empty when there is one."""
+        if np.isfinite(self.places).all(axis=1).any():
+            return ""
+        if self.truth is None:
+            return "there is no ground truth for this demonstration"
+        if self.reference is None:
+            return "the reference keypoints it was made from are gone"
+        if not self.labels.any():
+            return "the reference keypoints were picked on no labelled object"
+        if not self.truth.metadata.world_from_object:
+            return "the ground truth of this demonstration does not say where its objects stand"
+        return "no object that a keypoint was picked on has a known place in both recordings"
+
+    def why_no_share(self) -> str:
+        """Why there is no share on the right object, in words; empty when there is one."""
+        if self.truth is None:
+            return "there is no ground truth for this demonstration"
+        if not self.labels.any():
+            return "no label is known for any reference keypoint's object"
+        if not self.landings:
+            return "the ground truth labels none of the track's cameras"
+        if not any(one.in_view.any() for one in self.all_landings):
+            return "no keypoint's object is in view by the labels"
+        return ""
+
+
+def _known_keypoint(dataset: Dataset, pick: Pick | None, truth: Truth | None) -> KnownKeypoint:
+    unknown = np.full(3, np.nan)
+    picked_in = find_truth(dataset, pick.recording) if pick else None
+    if pick is None or picked_in is None or pick.camera not in picked_in.camera_names:
+        return KnownKeypoint(-1, unknown)
+    try:
+        labels = picked_in.instance(pick.camera, pick.frame)
+    except IndexError:
+        return KnownKeypoint(-1, unknown)
+    label = int(scores.label_at(labels, np.array([pick.u, pick.v])))
+    there = picked_in.metadata.world_from_object.get(label)
+    here = truth.metadata.world_from_object.get(label) if truth else None
+    if pick.point_world is None or there is None or here is None:
+        return KnownKeypoint(label, unknown)
+    point = np.array(pick.point_world, dtype=np.float64)
+    return KnownKeypoint(label, scores.place_elsewhere(point, np.array(there, float), np.array(here, float)))
+
+
+def track_figures(dataset: Dataset, demonstration: str, variant: str) -> dict[str, Any]:
+    """How certain, how steady and, where the truth is known, how right the keypoints of a demonstration are."""
+    if find(dataset, KeypointTrack, demonstration, variant) is None:
+        return {}
+    return figures_of_track(TrackScores(dataset, demonstration, variant))
+
+
+def figures_of_track(scored: TrackScores) -> dict[str, Any]:
+    """The figures of one track."""
+    track, truth = scored.track, scored.truth
+    error, landings = scored.error, scored.all_landings
+    with_place = np.isfinite(scored.places).all(axis=1)
+    pose_error = truth.metadata.pose_error if truth else {}
+    return {
+        "filter": track.metadata.filter,
+        "n_frames": len(track.mean),
+        "n_keypoints": len(track.names),
+        "localised_share": float(np.isfinite(track.mean).all(axis=2).mean()) if track.mean.size else math.nan,
+        "error_m": scores.distribution(error),
+        "error_last_frame_m": scores.distribution(error[-1:]),
+        "n_keypoints_with_place": int(with_place.sum()),
+        "within_2cm": _share_below(error, 0.02),
+        "within_5cm": _share_below(error, 0.05),
+        "why_no_error": scored.why_no_error(),
+        "truth_error_m": {
+            truth.label_names.get(label, str(label)): value
+            for label, value in pose_error.items()
+            if truth is not None and label in set(scored.labels[with_place].tolist())
+        },
+        "on_object": scores.object_shares(landings),
+        "tolerance_px": TOLERANCE_PX,
+        "why_no_share": scored.why_no_share(),
+        "spread_m": scores.distribution(scored.spread),
+        "step_m": scores.distribution(scores.step_length(track.mean)),
+        "keypoints": [_keypoint_row(scored, i) for i in range(len(track.names))],
+    }
+
+
+def _share_below(error: np.ndarray, limit: float) -> float:
+    known = np.isfinite(error)
+    return float((error[known] < limit).mean()) if known.any() else math.nan
+
+
+def _keypoint_row(scored: TrackScores, i: int) -> dict[str, Any]:
+    truth, label = scored.truth, scored.known[i].label
+    pick = scored.picks[i]
+    names: dict[int, str] = {}
+    if pick is not None:
+        picked_in = find_truth(scored._dataset, pick.recording)
+        names = picked_in.label_names if picked_in else {}
+    names = {**(truth.label_names if truth else {}), **names}
+    chosen = np.arange(len(scored.known)) == i
+    return {
+        "name": scored.track.names[i],
+        "object": "unknown" if label < 0 else "background" if label == 0 else names.get(label, f"label {label}"),
+        "object_here": truth is not None and label > 0 and label in truth.label_names,
+        "error_m": scores.distribution(scored.error[:, i]),
+        "on_object": scores.object_shares(scored.all_landings, chosen),
+        "spread_m": scores.distribution(scored.spread[:, i]),
+        "localised_share": float(np.isfinite(scored.track.mean[:, i]).all(axis=1).mean()),
+    }

@@ -1,0 +1,119 @@
+"""The report's page: figures and pictures of every section that has something to show, in one HTML file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import markupsafe
+
+from bask_data import __version__
+from bask_data.dataset import Dataset
+from bask_data.errors import BaskError
+from bask_data.report import sections
+
+TEMPLATE = "page.html.j2"
+
+
+def render(dataset: Dataset) -> str:
+    """The page as text."""
+    chosen = sections.choose(dataset)
+    built = [_built(name, title, make, chosen) for name, title, make in SECTIONS]
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(FILTERS)
+    return environment.get_template(TEMPLATE).render(
+        dataset=dataset.file,
+        version=__version__,
+        sections=[section for section in built if section],
+        summary=sections.overview(chosen),
+    )
+
+
+SECTIONS: list[tuple[str, str, Callable[[sections.Chosen], Any]]] = [
+    ("frames", "Input frames", sections.frames),
+    ("reconstruction", "Reconstruction", sections.reconstruction),
+    ("objects", "Objects", sections.objects),
+    ("masks", "Masks over frames", sections.masks),
+    ("matches", "Matches between two views", sections.matches),
+    ("training", "Training", sections.training),
+    ("reference", "Reference keypoints", sections.reference),
+    ("heat", "Correspondence heat maps", sections.heat_maps),
+    ("keypoints", "Keypoints tracked", sections.tracks),
+]
+
+
+def _built(name: str, title: str, make: Callable[[sections.Chosen], Any], chosen: sections.Chosen) -> Any:
+    """A section's parts, or None without any; an artifact that cannot be read says so in place of its pictures."""
+    try:
+        parts = make(chosen)
+    except BaskError as error:
+        parts = [{"title": "", "error": str(error)}]
+    return {"name": name, "title": title, "parts": parts} if parts else None
+
+
+def number(value: object, digits: int = 3) -> str:
+    """A number as people write it; a dash where it is not known."""
+    if value is None or (isinstance(value, float) and value != value):
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        if value.is_integer() and abs(value) < 1e6:
+            return f"{int(value):,}"
+        return f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:,.0f}"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(number(one, digits) for one in value)
+    return str(value)
+
+
+def percent(value: float | None) -> str:
+    """A share in percent."""
+    if value is None or value != value:
+        return "–"
+    return f"{100 * value:.1f} %" if value < 0.0995 else f"{100 * value:.0f} %"
+
+
+def millimetres(value: float | None) -> str:
+    """Metres, written in millimetres or centimetres."""
+    if value is None or value != value:
+        return "–"
+    return f"{1000 * value:.1f} mm" if value < 0.1 else f"{100 * value:.1f} cm" if value < 1 else f"{value:.2f} m"
+
+
+def size(value: float | None) -> str:
+    """Bytes."""
+    if value is None:
+        return "–"
+    return f"{value / 1e9:.1f} GB" if value >= 1e9 else f"{value / 1e6:.1f} MB" if value >= 1e5 else f"{value / 1e3:.0f} kB"
+
+
+def duration(value: float | None) -> str:
+    """Seconds."""
+    if value is None:
+        return "–"
+    return f"{value:.1f} s" if value < 100 else f"{int(value) // 60} min {int(value) % 60:02d} s"
+
+
+def svg(text: str) -> markupsafe.Markup:
+    """A plot of ours, which is markup; nothing else on the page is."""
+    return markupsafe.Markup(text)  # noqa: S704  # Drawn by `plots`, which puts no text of others in it.
+
+
+FILTERS = {
+    "number": number,
+    "percent": percent,
+    "mm": millimetres,
+    "size": size,
+    "duration": duration,
+    "svg": svg,
+}

@@ -1,0 +1,100 @@
+"""Curves as inline SVG that takes its text colour from the page, so that it reads on light and on dark."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+_INK = "#010203"
+"""A colour nobody draws with; it becomes the page's own text colour."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One line of a plot; without a colour it has that of the text."""
+
+    x: np.ndarray
+    y: np.ndarray
+    colour: str
+    thick: bool = False
+    dashed: bool = False
+
+
+def line_plot(
+    curves: Sequence[Curve],
+    *,
+    x_label: str,
+    y_label: str,
+    logarithmic: bool = False,
+    y_range: tuple[float, float] | None = None,
+) -> str:
+    """An SVG element.
+
+    The labels of the axes must be ours: names out of files belong in HTML, where they are escaped.
+    """
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    style = {
+        "svg.fonttype": "none",
+        "svg.hashsalt": "bask-data",
+        "font.family": "sans-serif",
+        "font.size": 9,
+        "text.parse_math": False,
+        "text.color": _INK,
+        "axes.edgecolor": _INK,
+        "axes.labelcolor": _INK,
+        "xtick.color": _INK,
+        "ytick.color": _INK,
+        "grid.color": "#888888",
+        "grid.alpha": 0.3,
+        "path.simplify_threshold": 0.5,
+    }
+    with matplotlib.rc_context(style):
+        figure = Figure(figsize=(5.2, 2.5), layout="constrained")
+        axes = figure.add_subplot()
+        for curve in curves:
+            axes.plot(
+                curve.x,
+                curve.y,
+                color=curve.colour or _INK,
+                linewidth=2.2 if curve.thick else 0.9,
+                alpha=1.0 if curve.thick else 0.75,
+                linestyle="--" if curve.dashed else "-",
+                marker="o" if np.isfinite(curve.y).sum() <= 20 else "",
+                markersize=3.5 if curve.thick else 2,
+            )
+        axes.set_xlabel(x_label)
+        axes.set_ylabel(y_label)
+        axes.grid(True)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+        if logarithmic and any((curve.y[np.isfinite(curve.y)] > 0).any() for curve in curves):
+            axes.set_yscale("log")
+        elif y_range:
+            axes.set_ylim(*y_range)
+        else:
+            axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        text = io.StringIO()
+        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
+    return _inline(text.getvalue())
+
+
+def _inline(document: str) -> str:
+    """The `<svg>` element alone, without the references a stand-alone file needs, in the page's ink."""
+    svg = document[document.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'\sxmlns(:\w+)?="[^"]*"', "", svg)
+    # Width and height in points would keep it from shrinking on a phone; the view box is enough.
+    svg = re.sub(r'(<svg[^>]*?)\swidth="[^"]*"', r"\1", svg, count=1)
+    svg = re.sub(r'(<svg[^>]*?)\sheight="[^"]*"', r"\1", svg, count=1)
+    # Every plot numbers its parts from one; on a page with several, names must differ.
+    prefix = "p" + hashlib.sha256(svg.encode()).hexdigest()[:8]
+    svg = re.sub(r'\sid="', f' id="{prefix}-', svg)
+    svg = re.sub(r'(url\(|href=")#', rf"\1#{prefix}-", svg)
+    return svg.replace(_INK, "currentColor").strip()

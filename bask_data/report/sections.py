@@ -1,0 +1,875 @@
+"""The report's sections: what each picture shows, and the figures that belong beside it.
+
+A section is a list of parts, one per item; no part, no section. A part is a plain dictionary that the template knows how
+to lay out: `figures` are label and text, `tiles` are pictures, `tables` rows, `plots` curves, `notes` what a person
+should know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+
+from bask_data.artifact import Artifact
+from bask_data.core.geometry import in_image, invert_rigid, project, scale_pixels, transform
+from bask_data.dataset import Dataset
+from bask_data.errors import BaskError
+from bask_data.kinds import (
+    Correspondences,
+    Demonstration,
+    DescriptorNet,
+    KeypointTrack,
+    ObjectInstances,
+    Pick,
+    Reconstruction,
+    Recording,
+    ReferenceKeypoints,
+    Scan,
+    Truth,
+    VisibleMasks,
+)
+from bask_data.report import figures as measured
+from bask_data.report import pictures as draw
+from bask_data.report.figures import TrackScores, find, find_recording, find_truth, spread_frames
+
+N_ITEMS = 3
+"""Scenes, demonstrations and variants shown; more would make a page nobody loads."""
+N_ROWS = 32
+N_FRAMES = 8
+N_MATCHES = 30
+N_HEATED = 5
+N_HEAT_FRAMES = 4
+N_TRAIL = 15
+TILE, PICTURE, WIDE = 320, 480, 1100
+FIRST, LAST = (80, 220, 120), (240, 70, 90)
+WHITE = (255, 255, 255)
+Part = dict[str, Any]
+A = TypeVar("A", bound=Artifact)
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The items a page shows: the first few of each sort."""
+
+    dataset: Dataset
+    scenes: list[str]
+    demonstrations: list[str]
+    variants: list[str]
+
+    @cached_property
+    def tracks(self) -> list[tuple[str, str, TrackScores]]:
+        """(demonstration, variant, scores) of every track shown; measured once, used by several sections."""
+        return [
+            (name, variant, TrackScores(self.dataset, name, variant))
+            for variant in self.variants
+            for name in self.demonstrations
+            if find(self.dataset, KeypointTrack, name, variant)
+        ]
+
+    @cached_property
+    def masks(self) -> dict[str, dict[str, Any]]:
+        """Figures of the masks of each scene shown."""
+        found = {}
+        for name in self.scenes:
+            try:
+                value = measured.masks_figures(find(self.dataset, VisibleMasks, name), find_truth(self.dataset, name))
+            except BaskError as error:
+                value = {"error": str(error)}
+            if value:
+                found[name] = value
+        return found
+
+
+def choose(dataset: Dataset) -> Chosen:
+    """The first items of each sort."""
+    kinds = (DescriptorNet, ReferenceKeypoints, KeypointTrack)
+    variants = list(dict.fromkeys(name for kind in kinds for name in dataset.variants(kind)))
+    return Chosen(
+        dataset, dataset.items("scene")[:N_ITEMS], dataset.items("demonstration")[:N_ITEMS], variants[:N_ITEMS]
+    )
+
+
+def per_item(names: Sequence[str], part: Callable[[str], Part | None]) -> list[Part]:
+    """A part per item that has one; an item that cannot be read says so and spoils no other."""
+    parts = []
+    for name in names:
+        try:
+            made = part(name)
+        except BaskError as error:
+            made = {"title": name, "error": str(error)}
+        if made:
+            parts.append(made)
+    return parts
+
+
+# Summary ---------------------------------------------------------------------------------------------------------------------
+
+
+def overview(chosen: Chosen) -> Part:
+    """What was made, the headline figures, what is missing and what is not shown."""
+    artifacts = measured.made(chosen.dataset)
+    return {
+        "headline": _headline(chosen),
+        "artifacts": artifacts[: 3 * N_ROWS],
+        "n_artifacts_left_out": max(len(artifacts) - 3 * N_ROWS, 0),
+        "seconds": sum(one.seconds or 0.0 for one in artifacts),
+        "n_without_record": sum(one.seconds is None for one in artifacts),
+        "bytes": sum(one.bytes for one in artifacts),
+        "missing": _missing(chosen),
+        "left_out": _left_out(chosen),
+    }
+
+
+def _left_out(chosen: Chosen) -> list[str]:
+    sorts = [
+        ("scenes", chosen.dataset.items("scene"), chosen.scenes),
+        ("demonstrations", chosen.dataset.items("demonstration"), chosen.demonstrations),
+    ]
+    return [
+        f"{len(everything)} {sort}: the first {len(shown)} are shown, {len(everything) - len(shown)} are left out, "
+        "and the figures are of those shown."
+        for sort, everything, shown in sorts
+        if len(shown) < len(everything)
+    ]
+
+
+def _missing(chosen: Chosen) -> list[str]:
+    """What could be there and is not, in sentences."""
+    dataset, found = chosen.dataset, []
+    for name in [*chosen.scenes, *chosen.demonstrations]:
+        if find_recording(dataset, name) is None:
+            found.append(f"{name}: its frames are not in the dataset.")
+        if find_truth(dataset, name) is None:
+            found.append(f"No ground truth for {name}: nothing on this page says how right its results are.")
+    for kind, what in (
+        (Reconstruction, "reconstruction"),
+        (ObjectInstances, "objects"),
+        (VisibleMasks, "masks"),
+        (Correspondences, "correspondences"),
+    ):
+        without = [name for name in chosen.scenes if not find(dataset, kind, name)]
+        if without:
+            found.append(f"No {what} yet: {', '.join(without)}.")
+    if not chosen.scenes:
+        found.append("No scan.")
+    for kind, what in ((DescriptorNet, "descriptor network"), (ReferenceKeypoints, "reference keypoints")):
+        if not any(find(dataset, kind, "", variant) for variant in chosen.variants):
+            found.append(f"No {what} yet.")
+    without = [
+        name
+        for name in chosen.demonstrations
+        if not any(find(dataset, KeypointTrack, name, variant) for variant in chosen.variants)
+    ]
+    if without:
+        found.append(f"No keypoints yet: {', '.join(without)}.")
+    if not chosen.demonstrations:
+        found.append("No demonstration, so there is nothing to track keypoints in.")
+    return found
+
+
+def _headline(chosen: Chosen) -> list[tuple[str, str]]:
+    """A handful of (value, what it is)."""
+    from bask_data.report.page import millimetres, percent
+
+    dataset, rows = chosen.dataset, []
+    n_frames = sum(camera.n_frames for name in chosen.scenes for camera in _cameras(dataset, name))
+    if n_frames:
+        rows.append((f"{n_frames:,}", f"frames scanned in {_count(len(chosen.scenes), 'scene')}"))
+    n_objects = [len(o.instances) for name in chosen.scenes if (o := _readable(find(dataset, ObjectInstances, name)))]
+    if n_objects:
+        rows.append((f"{sum(n_objects)}", "objects found"))
+    ious = [label["iou"] for one in chosen.masks.values() for label in one.get("labels") or []]
+    if ious:
+        rows.append((f"{np.median(ious):.2f}", f"median mask IoU of {_count(len(ious), 'labelled object')}"))
+    n_matches = [
+        c.metadata.n_matches for name in chosen.scenes if (c := _readable(find(dataset, Correspondences, name)))
+    ]
+    if n_matches:
+        rows.append((f"{sum(n_matches):,}", "matches between views"))
+    for name, variant, scored in chosen.tracks:
+        try:
+            found = measured.figures_of_track(scored)
+        except BaskError:
+            continue
+        where = name if variant == "main" else f"{name} ({variant})"
+        rows.append((str(found["n_keypoints"]), f"keypoints tracked over {found['n_frames']} frames of {where}"))
+        if found["error_m"].n:
+            rows.append((millimetres(found["error_m"].median), f"median keypoint error in {where}"))
+        if found["on_object"].n:
+            rows.append((percent(found["on_object"].right), f"of them on the right object in {where}"))
+    return rows
+
+
+def _readable(artifact: A | None) -> A | None:
+    """The artifact if its metadata can be read: the headline leaves out what its own section will complain about."""
+    if artifact is None:
+        return None
+    try:
+        _ = artifact.metadata
+    except BaskError:
+        return None
+    return artifact
+
+
+def _cameras(dataset: Dataset, name: str) -> list[Any]:
+    recording = find_recording(dataset, name)
+    return recording.cameras if recording else []
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n:,} {what}" if n == 1 else f"{n:,} {what}s"
+
+
+# Input frames ----------------------------------------------------------------------------------------------------------------
+
+
+def frames(chosen: Chosen) -> list[Part]:
+    """Colour above depth, a few frames of each recording."""
+
+    def part(name: str) -> Part | None:
+        recording = find_recording(chosen.dataset, name)
+        if recording is None:
+            return None
+        sort = "scan" if isinstance(recording, Scan) else "demonstration"
+        cameras = measured.recording_figures(recording)
+        return {
+            "title": f"{name} ({sort})",
+            "cameras": [
+                {"name": camera.name, **cameras[camera.name], **_contact_sheet(camera, cameras[camera.name])}
+                for camera in recording.cameras
+            ],
+        }
+
+    return per_item([*chosen.scenes, *chosen.demonstrations], part)
+
+
+def _contact_sheet(camera: Any, found: dict[str, Any]) -> Part:
+    near, far = found["depth_range_m"]
+    tiles = []
+    for i_frame in spread_frames(camera.n_frames, N_FRAMES):
+        depth = draw.depth_picture(_shrunk_depth(camera.depth(i_frame)), near, far)
+        tiles.append(
+            {
+                "frame": i_frame,
+                "colour": draw.jpeg_uri(draw.resize(camera.rgb(i_frame), TILE)),
+                "depth": draw.jpeg_uri(draw.resize(depth, TILE)),
+            }
+        )
+    ticks = [near + (far - near) * share for share in (0, 0.25, 0.5, 0.75, 1)]
+    return {"tiles": tiles, "gradient": draw.turbo_gradient(), "ticks": [f"{tick:.2f}" for tick in ticks]}
+
+
+def _shrunk_depth(depth: np.ndarray) -> np.ndarray:
+    """Depth at the size of a tile, by the nearest pixel."""
+    if depth.shape[1] <= TILE:
+        return depth
+    return draw.resize_labels(depth, (max(1, round(depth.shape[0] * TILE / depth.shape[1])), TILE))
+
+
+# Reconstruction and objects --------------------------------------------------------------------------------------------------
+
+
+def reconstruction(chosen: Chosen) -> list[Part]:
+    """The mesh in its own colours, beside a frame seen from the same place and with the cameras' way."""
+
+    def part(name: str) -> Part | None:
+        found = find(chosen.dataset, Reconstruction, name)
+        if found is None:
+            return None
+        numbers = measured.reconstruction_figures(found)
+        low, high = (np.array(corner) for corner in numbers["bounds_m"])
+        return {
+            "title": name,
+            "numbers": numbers,
+            "box": " × ".join(f"{edge:.2f}" for edge in high - low),
+            "tiles": _mesh_tiles(chosen.dataset, name, found, None),
+        }
+
+    return per_item(chosen.scenes, part)
+
+
+def objects(chosen: Chosen) -> list[Part]:
+    """The mesh by instance, and the table of instances."""
+
+    def part(name: str) -> Part | None:
+        found = find(chosen.dataset, ObjectInstances, name)
+        if found is None:
+            return None
+        numbers = measured.objects_figures(found)
+        mesh = find(chosen.dataset, Reconstruction, name)
+        colours = draw.palette(len(found.instances))
+        rows = [
+            {
+                "colour": draw.css(colours[i]),
+                **row,
+                "extents_cm": " × ".join(f"{100 * edge:.1f}" for edge in row["extents"]),
+            }
+            for i, row in enumerate(numbers["instances"][:N_ROWS])
+        ]
+        fits = mesh is not None and len(mesh.vertices) == len(found.vertex_instance)
+        return {
+            "title": name,
+            "numbers": numbers,
+            "rows": rows,
+            "n_rows_left_out": max(len(numbers["instances"]) - N_ROWS, 0),
+            "tiles": _mesh_tiles(chosen.dataset, name, mesh, found) if mesh is not None and fits else [],
+            "why_no_picture": ""
+            if fits
+            else "there is no reconstruction to draw them on"
+            if mesh is None
+            else "the reconstruction is not the one they were found on; run `bask-data run`",
+        }
+
+    return per_item(chosen.scenes, part)
+
+
+def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: ObjectInstances | None) -> list[Part]:
+    from bask_data.report.mesh import MeshScene, Viewpoint, draw_path, orbit_views, up_direction
+
+    if not len(mesh.triangles):
+        return []
+    scan = find(dataset, Scan, name)
+    cameras = scan.cameras if scan else []
+    path = cameras[0].world_from_cameras if cameras else np.eye(4)[None]
+    plane = find(dataset, ObjectInstances, name)
+    up = up_direction(plane.support_plane if plane else None, path)
+    scene = MeshScene(mesh.vertices, mesh.triangles)
+    colours = mesh.colors if objects is None else _instance_colours(objects, mesh.colors)
+    how = {"sharp": objects is not None, "ambient": 0.5 if objects is None else 0.35}
+    tiles = []
+    if cameras:
+        camera, i_frame = cameras[0], cameras[0].n_frames // 2
+        height, width = round(camera.height * PICTURE / camera.width), PICTURE
+        K = camera.K.copy()
+        K[:2, 2] = scale_pixels(camera.K[:2, 2], (camera.height, camera.width), (height, width))
+        K[:2, :2] *= np.array([[width / camera.width], [height / camera.height]])
+        view = Viewpoint(K, camera.world_from_cameras[i_frame], height, width)
+        if objects is None:
+            picture = draw.resize(camera.rgb(i_frame), PICTURE)
+            tiles.append({"uri": draw.jpeg_uri(picture), "text": f"frame {i_frame} as recorded"})
+        picture = scene.render(colours, view, **how)
+        tiles.append({"uri": draw.jpeg_uri(picture), "text": f"the mesh from where frame {i_frame} was taken"})
+    for view, side in zip(
+        orbit_views(mesh.vertices, path, up, height=3 * PICTURE // 4, width=PICTURE), ("left", "right"), strict=True
+    ):
+        picture = scene.render(colours, view, **how)
+        if objects is None and cameras:
+            picture = draw_path(picture, view, path, FIRST, LAST)
+        tiles.append({"uri": draw.jpeg_uri(picture), "text": f"from above, {side}"})
+    return tiles
+
+
+def _instance_colours(objects: ObjectInstances, vertex_colours: np.ndarray) -> np.ndarray:
+    """Instances in their colours, background in faint grey of its own brightness."""
+    grey = vertex_colours.astype(np.float32).mean(axis=1, keepdims=True)
+    result = np.repeat(70 + 0.4 * grey, 3, axis=1)
+    table = np.array(draw.palette(int(objects.vertex_instance.max(initial=0))), np.float32).reshape(-1, 3)
+    on_object = objects.vertex_instance > 0
+    result[on_object] = table[objects.vertex_instance[on_object] - 1]
+    return result.astype(np.uint8)
+
+
+# Masks -----------------------------------------------------------------------------------------------------------------------
+
+
+def masks(chosen: Chosen) -> list[Part]:
+    """Tinted masks over frames, how visible each instance is, and the IoU with labels."""
+
+    def part(name: str) -> Part | None:
+        found = find(chosen.dataset, VisibleMasks, name)
+        if found is None:
+            return None
+        numbers = chosen.masks[name]
+        if "error" in numbers:
+            return {"title": name, "error": numbers["error"]}
+        truth, scan = find_truth(chosen.dataset, name), find(chosen.dataset, Scan, name)
+        colours = [draw.css(colour) for colour in draw.palette(found.n_instances)]
+        objects = find(chosen.dataset, ObjectInstances, name)
+        names = {row.id: row.name for row in objects.instances} if objects else {}
+        tiles = [
+            tile
+            for camera in (scan.camera_names if scan else [])
+            if camera in found.camera_names
+            for tile in _mask_tiles(scan, found, truth, camera)
+        ]
+        return {
+            "title": name,
+            "numbers": numbers,
+            "tiles": tiles,
+            "rows": [
+                {**row, "colour": colours[row["id"] - 1], "name": names.get(row["id"], "")}
+                for row in numbers["instances"][:N_ROWS]
+            ],
+            "n_rows_left_out": max(len(numbers["instances"]) - N_ROWS, 0),
+            "labels": numbers["labels"],
+            "colours": ["", *colours],
+            "median_iou": float(np.median([row["iou"] for row in numbers["labels"]])) if numbers["labels"] else None,
+        }
+
+    return per_item(chosen.scenes, part)
+
+
+def _mask_tiles(scan: Any, masks: VisibleMasks, truth: Truth | None, camera: str) -> list[Part]:
+    frames, instances = scan.camera(camera), masks.camera(camera)
+    labelled = truth is not None and camera in truth.camera_names
+    tiles = []
+    for i_frame in spread_frames(min(frames.n_frames, instances.n_frames), N_FRAMES):
+        labels = truth.instance(camera, i_frame) if labelled and truth is not None else None
+        picture = draw.mask_picture(frames.rgb(i_frame), instances.instance(i_frame), labels, PICTURE)
+        tiles.append({"uri": draw.jpeg_uri(picture), "text": f"{camera}, frame {i_frame}"})
+    return tiles
+
+
+# Matches ---------------------------------------------------------------------------------------------------------------------
+
+
+def matches(chosen: Chosen) -> list[Part]:
+    """Pairs of frames with lines between matching pixels, and why candidates were rejected."""
+
+    def part(name: str) -> Part | None:
+        found = find(chosen.dataset, Correspondences, name)
+        if found is None:
+            return None
+        numbers = measured.matches_figures(found)
+        scan = find(chosen.dataset, Scan, name)
+        most = max([numbers["n_matches"], *numbers["rejections"].values()], default=1) or 1
+        bars = [("accepted", numbers["n_matches"]), *sorted(numbers["rejections"].items(), key=lambda row: -row[1])]
+        colours = [draw.css(colour) for colour in draw.palette(256)]
+        return {
+            "title": name,
+            "numbers": numbers,
+            "bars": [{"name": why, "n": n, "width": round(100 * n / most, 1)} for why, n in bars[:N_ROWS]],
+            "tiles": _pair_tiles(scan, found) if scan else [],
+            "per_instance": [
+                {"id": i, "n": n, "colour": colours[i - 1]} for i, n in list(numbers["matches_per_instance"].items())
+            ][:N_ROWS],
+        }
+
+    return per_item(chosen.scenes, part)
+
+
+def _pair_tiles(scan: Scan, correspondences: Correspondences) -> list[Part]:
+    """The pair with most matches and, if another, the one seen from most different directions with enough of them."""
+    pairs = correspondences.pairs().to_pylist()
+    if not pairs:
+        return []
+    fullest = max(pairs, key=lambda row: row["n_matches"])
+    enough = [row for row in pairs if row["n_matches"] >= max(N_MATCHES, 0.1 * fullest["n_matches"])]
+    widest = max(enough, key=lambda row: row["angle"], default=fullest)
+    tiles = []
+    for row, why in ((fullest, "most matches"), (widest, "widest angle")):
+        known = row["camera_a"] in scan.camera_names and row["camera_b"] in scan.camera_names
+        if not known or (why == "widest angle" and widest is fullest):
+            continue
+        table = correspondences.matches([row["pair"]])
+        columns = {name: table[name].to_numpy() for name in ("u_a", "v_a", "u_b", "v_b", "instance")}
+        some = _spread_matches(columns["instance"])
+        picture = draw.matches_picture(
+            scan.camera(row["camera_a"]).rgb(row["frame_a"]),
+            scan.camera(row["camera_b"]).rgb(row["frame_b"]),
+            np.stack([columns["u_a"], columns["v_a"]], axis=1)[some],
+            np.stack([columns["u_b"], columns["v_b"]], axis=1)[some],
+            WIDE,
+        )
+        text = (
+            f"{why}: {row['camera_a']} frame {row['frame_a']} and {row['camera_b']} frame {row['frame_b']}, "
+            f"{100 * row['distance']:.1f} cm and {np.rad2deg(row['angle']):.0f}° apart; "
+            f"{len(some)} of {row['n_matches']:,} matches drawn"
+        )
+        tiles.append({"uri": draw.jpeg_uri(picture), "text": text})
+    return tiles
+
+
+def _spread_matches(instance: np.ndarray) -> np.ndarray:
+    """Which matches to draw: chosen by chance, the same each time, every instance getting its turn."""
+    order = np.random.default_rng(0).permutation(len(instance))
+    rank = np.zeros(len(instance), dtype=np.int64)
+    for i in np.unique(instance):
+        mine = order[instance[order] == i]
+        rank[mine] = np.arange(len(mine))
+    return np.sort(order[np.argsort(rank[order], kind="stable")][:N_MATCHES])
+
+
+# Training --------------------------------------------------------------------------------------------------------------------
+
+
+def training(chosen: Chosen) -> list[Part]:
+    """Loss terms and validation metrics over the steps."""
+
+    def part(variant: str) -> Part | None:
+        found = find(chosen.dataset, DescriptorNet, "", variant)
+        if found is None:
+            return None
+        return {
+            "title": variant if len(chosen.variants) > 1 else "",
+            "numbers": measured.descriptor_figures(found),
+            "plots": _curve_plots(found),
+        }
+
+    return per_item(chosen.variants, part)
+
+
+def _curve_plots(descriptor: DescriptorNet) -> list[Part]:
+    """A plot per family of terms that share a scale."""
+    table = descriptor.curve()
+    step, names, value = table["step"].to_numpy(), np.array(table["name"].to_pylist(), dtype=object), table["value"]
+    values = value.to_numpy()
+    families: dict[str, list[str]] = {}
+    for name in dict.fromkeys(names.tolist()):
+        families.setdefault(_family(name), []).append(name)
+    plots = []
+    for family, members in families.items():
+        colours = [draw.css(colour) for colour in draw.palette(len(members))]
+        curves, legend = [], []
+        for name, colour in list(zip(members, colours, strict=True))[:N_ITEMS * 4]:
+            chosen = names == name
+            curves.append(_curve(step[chosen], values[chosen], colour))
+            legend.append({"name": name, "colour": colour, "last": float(values[chosen][-1])})
+        plots.append({"title": family, "svg": _training_plot(curves, family), "legend": legend})
+    return plots
+
+
+def _family(name: str) -> str:
+    lowered = name.lower()
+    for word, family in (
+        ("loss", "loss"),
+        ("pck", "share of keypoints within a distance"),
+        ("px", "error in pixels"),
+        ("pixel", "error in pixels"),
+        ("rate", "learning rate"),
+        ("share", "shares"),
+        ("fraction", "shares"),
+    ):
+        if word in lowered:
+            return family
+    return name if len(name) < 40 else "other"
+
+
+def _curve(x: np.ndarray, y: np.ndarray, colour: str) -> Any:
+    from bask_data.report.plots import Curve
+
+    # A long curve is noise upon a trend: what is drawn are means of short stretches.
+    stride = max(len(x) // 400, 1)
+    n = len(x) // stride * stride
+    return Curve(
+        x[:n].reshape(-1, stride).mean(axis=1), y[:n].reshape(-1, stride).mean(axis=1), colour, thick=len(x) < 50
+    )
+
+
+def _training_plot(curves: list[Any], family: str) -> str:
+    from bask_data.report.plots import line_plot
+
+    share = family.startswith("share")
+    return line_plot(
+        curves,
+        x_label="optimiser steps",
+        y_label="share" if share else "pixels" if "pixel" in family else "value",
+        logarithmic=family == "loss",
+        y_range=(0, 1.02) if share else None,
+    )
+
+
+# Reference keypoints and heat maps -------------------------------------------------------------------------------------------
+
+
+def reference(chosen: Chosen) -> list[Part]:
+    """Where each keypoint was picked."""
+
+    def part(variant: str) -> Part | None:
+        found = find(chosen.dataset, ReferenceKeypoints, "", variant)
+        if found is None:
+            return None
+        colours = draw.palette(len(found.picks))
+        by_frame: dict[tuple[str, str, int], list[int]] = {}
+        for i, pick in enumerate(found.picks):
+            by_frame.setdefault((pick.recording, pick.camera, pick.frame), []).append(i)
+        tiles, unseen = [], []
+        for (recording, camera, i_frame), indices in by_frame.items():
+            image = _frame_of(chosen.dataset, found.picks[indices[0]])
+            if image is None:
+                unseen.append(f"{recording}, {camera}, frame {i_frame}")
+            elif len(tiles) < 2 * N_FRAMES:
+                marks = [_pick_mark(found.picks[i], i, colours[i]) for i in indices]
+                uri = draw.jpeg_uri(draw.marks_picture(image, marks, 640 if len(by_frame) < 3 else PICTURE))
+                tiles.append({"uri": uri, "text": f"{recording}, {camera}, frame {i_frame}"})
+        return {
+            "title": variant if len(chosen.variants) > 1 else "",
+            "tiles": tiles,
+            "n_frames_left_out": max(len(by_frame) - len(unseen) - len(tiles), 0),
+            "unseen": unseen,
+            "rows": [
+                {"number": i + 1, "colour": draw.css(colours[i]), **pick.model_dump()}
+                for i, pick in enumerate(found.picks[: 2 * N_ROWS])
+            ],
+            "n_rows_left_out": max(len(found.picks) - 2 * N_ROWS, 0),
+        }
+
+    return per_item(chosen.variants, part)
+
+
+def _pick_mark(pick: Pick, i: int, colour: draw.Colour) -> draw.Mark:
+    return draw.Mark(number=i + 1, pixel=np.array([pick.u, pick.v]), colour=colour)
+
+
+def _frame_of(dataset: Dataset, pick: Pick) -> np.ndarray | None:
+    """The image a keypoint was picked in, or None if the dataset does not hold it."""
+    recording = find_recording(dataset, pick.recording)
+    if recording is None or pick.camera not in recording.camera_names:
+        return None
+    camera = recording.camera(pick.camera)
+    return camera.rgb(pick.frame) if 0 <= pick.frame < camera.n_frames else None
+
+
+def heat_maps(chosen: Chosen) -> list[Part]:
+    """Where the network sees some keypoints in frames of a demonstration, before any filter."""
+
+    def part(variant: str) -> Part | None:
+        found = find(chosen.dataset, ReferenceKeypoints, "", variant)
+        names = [name for name in chosen.demonstrations if find(chosen.dataset, Demonstration, name)]
+        if found is None or not names or not found.picks:
+            return None
+        descriptor = measured.input_variant(chosen.dataset, found, DescriptorNet, variant)
+        if descriptor is None:
+            return {"title": variant, "why_not": "the descriptor network they were described with is not there"}
+        demonstration = find(chosen.dataset, Demonstration, names[0])
+        assert demonstration is not None, "found above"
+        return _heat_part(chosen, variant, names[0], demonstration, found, descriptor)
+
+    return per_item(chosen.variants, part)
+
+
+def _heat_part(
+    chosen: Chosen,
+    variant: str,
+    name: str,
+    demonstration: Recording,
+    reference: ReferenceKeypoints,
+    descriptor: DescriptorNet,
+) -> Part:
+    from bask_data.core.heatmap import softmax_map
+
+    track = find(chosen.dataset, KeypointTrack, name, variant)
+    alpha = float(track.manifest.params.get("alpha", 4.0)) if track else 4.0
+    indices = _one_of_each_object(reference.picks)
+    camera = demonstration.cameras[0]
+    scored = TrackScores(chosen.dataset, name, variant) if track else None
+    frames = spread_frames(camera.n_frames, N_HEAT_FRAMES)
+    colours = draw.palette(len(reference.picks))
+    rows: list[Part] = [
+        {
+            "number": i + 1,
+            "name": reference.picks[i].name,
+            "colour": draw.css(colours[i]),
+            "crop": _crop(chosen.dataset, reference.picks[i]),
+            "tiles": [],
+        }
+        for i in indices
+    ]
+    distances = _distance_maps(descriptor, reference.descriptors[indices])
+    for i_frame in frames:
+        rgb = camera.rgb(i_frame)
+        distance = distances(rgb)
+        heat, _ = softmax_map(distance, alpha)
+        for row, one, z, i in zip(rows, heat, distance, indices, strict=True):
+            marks = _truth_mark(scored, reference.picks[i].name, camera, i_frame)
+            row["tiles"].append(
+                {
+                    "uri": draw.jpeg_uri(draw.heat_picture(rgb, one, marks, TILE)),
+                    "text": f"frame {i_frame}, nearest {float(z.min()):.2f}",
+                }
+            )
+    return {
+        "title": f"{name}, {camera.name}" + (f" ({variant})" if len(chosen.variants) > 1 else ""),
+        "rows": rows,
+        "n_left_out": len(reference.picks) - len(indices),
+        "alpha": alpha,
+        "gradient": draw.heat_gradient(),
+        "with_truth": bool(scored is not None and np.isfinite(scored.places).any()),
+        "why_not": "",
+    }
+
+
+def _one_of_each_object(picks: Sequence[Pick]) -> list[int]:
+    """A few keypoints, taking turns between the objects they were picked on."""
+    turns: dict[int, int] = {}
+    order = []
+    for i, pick in enumerate(picks):
+        turns[pick.instance] = turns.get(pick.instance, 0) + 1
+        order.append((turns[pick.instance], i))
+    return sorted(i for _, i in sorted(order)[:N_HEATED])
+
+
+def _crop(dataset: Dataset, pick: Pick) -> str:
+    image = _frame_of(dataset, pick)
+    if image is None:
+        return ""
+    half = max(12, image.shape[1] // 14)
+    return draw.jpeg_uri(draw.crop_picture(image, np.array([pick.u, pick.v]), half, 200, WHITE))
+
+
+def _truth_mark(scored: TrackScores | None, name: str, camera: Any, i_frame: int) -> list[draw.Mark]:
+    """Where the keypoint truly is in the image, if that is known."""
+    if scored is None or name not in scored.track.names:
+        return []
+    i = scored.track.names.index(name)
+    pixel = _pixels(scored.places[i : i + 1], camera, i_frame)[0]
+    return [draw.Mark(i + 1, pixel, WHITE)]
+
+
+def _distance_maps(descriptor: DescriptorNet, references: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Gives descriptor distances (k, h, w) of an image to the references."""
+    raise NotImplementedError
+
+
+# Tracks ----------------------------------------------------------------------------------------------------------------------
+
+
+def tracks(chosen: Chosen) -> list[Part]:
+    """Keypoints in the frames of a demonstration, how certain and how right they are."""
+    labels = {f"{name}/{variant}": (name, variant, scored) for name, variant, scored in chosen.tracks}
+
+    def part(label: str) -> Part:
+        name, variant, scored = labels[label]
+        numbers = measured.figures_of_track(scored)
+        colours = draw.palette(len(scored.track.names))
+        return {
+            "title": name + (f" ({variant})" if len(chosen.variants) > 1 else ""),
+            "numbers": numbers,
+            "strips": _strips(scored, colours),
+            "plots": _track_plots(scored, colours),
+            "rows": [
+                {"number": i + 1, "colour": draw.css(colours[i]), **row}
+                for i, row in enumerate(numbers["keypoints"][: 2 * N_ROWS])
+            ],
+            "n_rows_left_out": max(len(numbers["keypoints"]) - 2 * N_ROWS, 0),
+            "n_trail": N_TRAIL,
+        }
+
+    return per_item(list(labels), part)
+
+
+def _pixels(points_world: np.ndarray, camera: Any, i_frame: int) -> np.ndarray:
+    camera_from_world = invert_rigid(camera.world_from_cameras[i_frame])
+    return project(transform(camera_from_world, points_world.astype(np.float64)), camera.K)[0]
+
+
+def _strips(scored: TrackScores, colours: list[draw.Colour]) -> list[Part]:
+    """A strip of frames per camera, with keypoints, trails, one-sigma ellipses and true places."""
+    recording = scored.recording
+    if recording is None:
+        return []
+    strips = []
+    for name in scored.track.camera_names:
+        if name not in recording.camera_names:
+            continue
+        camera = recording.camera(name)
+        pixel, observed = scored.track.pixel(name), scored.track.observed(name)
+        tiles = []
+        for i_frame in spread_frames(min(camera.n_frames, len(pixel)), N_FRAMES):
+            marks = _track_marks(scored, camera, i_frame, pixel[i_frame], observed[i_frame], colours)
+            uri = draw.jpeg_uri(draw.marks_picture(camera.rgb(i_frame), marks, PICTURE))
+            tiles.append({"uri": uri, "text": f"frame {i_frame}"})
+        strips.append({"camera": name, "tiles": tiles})
+    return strips
+
+
+def _track_marks(
+    scored: TrackScores,
+    camera: Any,
+    i_frame: int,
+    pixel: np.ndarray,
+    observed: np.ndarray,
+    colours: list[draw.Colour],
+) -> list[draw.Mark]:
+    mean, covariance = scored.track.mean, scored.track.covariance[i_frame]
+    truth = _pixels(scored.places, camera, i_frame)
+    truth[~in_image(truth, camera.height, camera.width)] = np.nan
+    jacobian = _image_jacobian(mean[i_frame].astype(np.float64), camera, i_frame)
+    in_pixels = jacobian @ covariance @ np.swapaxes(jacobian, 1, 2)
+    first = max(i_frame - N_TRAIL, 0)
+    return [
+        draw.Mark(
+            number=i + 1,
+            pixel=pixel[i],
+            colour=colours[i],
+            seen=bool(observed[i]),
+            trail=_pixels(mean[first : i_frame + 1, i], camera, i_frame),
+            covariance=in_pixels[i],
+            truth=truth[i],
+        )
+        for i in range(len(colours))
+    ]
+
+
+def _image_jacobian(points_world: np.ndarray, camera: Any, i_frame: int) -> np.ndarray:
+    """(k, 2, 3): how pixels move with world points."""
+    camera_from_world = invert_rigid(camera.world_from_cameras[i_frame])
+    x, y, z = transform(camera_from_world, points_world).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rows = [[1 / z, np.zeros_like(z), -x / z**2], [np.zeros_like(z), 1 / z, -y / z**2]]
+    return camera.K[:2, :2] @ np.moveaxis(np.array(rows), 2, 0) @ camera_from_world[:3, :3]
+
+
+def _track_plots(scored: TrackScores, colours: list[draw.Colour]) -> list[Part]:
+    plots = []
+    if not scored.why_no_error():
+        plots.append(
+            {
+                "title": "Error against the static truth",
+                "svg": _over_time(scored.error * 1000, colours, "error, mm"),
+                "caption": "Distance between each keypoint's mean and its true place; the thick line is their median.",
+            }
+        )
+    plots.append(
+        {
+            "title": "Spread",
+            "svg": _over_time(scored.spread * 1000, colours, "spread, mm"),
+            "caption": "Root of the covariance's trace: how unsure the filter is of itself; the thick line is the median.",
+        }
+    )
+    if not scored.why_no_share():
+        plots.append(
+            {
+                "title": "On the right object",
+                "svg": _share_plot(scored),
+                "caption": "Share of the keypoints whose object is in view that lie on it (solid) or within "
+                f"{measured.TOLERANCE_PX:g} px of it (dashed), by the labels. "
+                "Dotted in colour: what pixels drawn blindly would reach.",
+            }
+        )
+    return plots
+
+
+def _over_time(values: np.ndarray, colours: list[draw.Colour], y_label: str) -> str:
+    from bask_data.report.plots import Curve, line_plot
+
+    t = np.arange(len(values))
+    curves = [
+        Curve(t, values[:, i], draw.css(colour)) for i, colour in enumerate(colours) if np.isfinite(values[:, i]).any()
+    ]
+    known = np.isfinite(values).any(axis=1)
+    middle = np.full(len(values), np.nan)
+    middle[known] = np.nanmedian(values[known], axis=1)
+    return line_plot([*curves, Curve(t, middle, "", thick=True)], x_label="frame", y_label=y_label)
+
+
+def _share_plot(scored: TrackScores) -> str:
+    from bask_data.core.scores import object_shares
+    from bask_data.report.plots import Curve, line_plot
+
+    per_frame = [object_shares(list(frame)) for frame in zip(*scored.landings.values(), strict=True)]
+    t = np.arange(len(per_frame))
+    return line_plot(
+        [
+            Curve(t, np.array([one.chance for one in per_frame]), "#d08020", dashed=True),
+            Curve(t, np.array([one.near for one in per_frame]), "", dashed=True),
+            Curve(t, np.array([one.right for one in per_frame]), "", thick=True),
+        ],
+        x_label="frame",
+        y_label="share",
+        y_range=(0, 1.02),
+    )
