@@ -151,12 +151,12 @@ class Volume:
         """The surface, cut to the bounds. Empty when nothing was fused.
 
         Args:
-            min_views: frames that must have measured a voxel. Never more than a third of the frames fused, so that
+            min_views: frames that must have measured a voxel. Never more than a tenth of the frames fused, so that
                 few views give a surface.
         """
         if self.n_blocks == 0:
             return canonical(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 3)))
-        needed = min(min_views, max(1, self.n_integrated // 3))
+        needed = min(min_views, max(1, self.n_integrated // 10))
         # Open3D keeps voxels whose weight is strictly above the threshold.
         extracted = self._grid.extract_triangle_mesh(needed - 0.5).cpu()
         if "positions" not in extracted.vertex or len(extracted.vertex.positions) == 0:

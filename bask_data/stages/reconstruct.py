@@ -34,7 +34,7 @@ class ReconstructParams(Params):
         "Default: what the frames agree on.",
     )
     min_views: int = Field(
-        3, ge=1, description="Frames that must have measured a surface; at most a third of all frames is asked for."
+        3, ge=1, description="Frames that must have measured a surface; at most a tenth of all frames is asked for."
     )
     min_distance: float = Field(
         0.0, ge=0, description="Skip frames until the camera has moved so far, metres; 0: do not."

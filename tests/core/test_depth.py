@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bask_data.core.depth import cleaned, flying, in_range
+from bask_data.core.depth import cleaned, filled, flying, in_range
 
 
 def two_walls(near: float = 0.5, far: float = 0.8) -> np.ndarray:
@@ -52,6 +52,28 @@ def test_steep_surfaces_and_sparse_depth_stay() -> None:
     assert not flying(slope_of_80_degrees).any()
     every_other_pixel = np.where((u % 2 == 0) & (v % 2 == 0), slope_of_80_degrees, np.float32(0))
     assert not flying(every_other_pixel).any()
+
+
+def test_gaps_of_a_pixel_inside_a_surface_are_closed_with_the_depth_around_them() -> None:
+    v, u = np.mgrid[:60, :80]
+    slope = (0.5 + 0.002 * u + 0.001 * v).astype(np.float32)
+    gaps = (u % 5 == 2) | (v % 5 == 3)
+    closed = filled(np.where(gaps, np.float32(0), slope))
+    inner = (slice(1, -1), slice(1, -1))
+    assert np.allclose(closed[inner], slope[inner], atol=0.0021), "to less than the step to the next pixel"
+    assert np.array_equal(closed[~gaps], slope[~gaps])
+
+
+def test_no_gap_is_closed_beyond_or_across_an_edge_nor_a_wide_one() -> None:
+    edge = two_walls()
+    edge[:, 10:] = 0
+    assert np.array_equal(filled(edge), edge), "a surface does not grow"
+    across = two_walls()
+    across[:, 10] = 0
+    assert np.array_equal(filled(across), across), "no depth between two surfaces is made up"
+    wide = np.full((20, 20), 0.5, np.float32)
+    wide[5:10, 5:10] = 0
+    assert (filled(wide)[6:9, 6:9] == 0).all()
 
 
 def test_range_cut_turns_what_is_outside_or_no_number_into_not_measured() -> None:

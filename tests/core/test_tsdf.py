@@ -108,7 +108,7 @@ def test_one_or_two_views_give_a_surface_but_among_many_a_single_sighting_does_n
     assert len(fused(n_views=1).vertices) > 1000
     assert len(fused(n_views=2).vertices) > 1000
     volume = Volume(VOXEL, bounds=BOUNDS)
-    for i_view, world_from_camera in enumerate(orbit(12, radius=0.5)):
+    for i_view, world_from_camera in enumerate(orbit(20, radius=0.5)):
         ghost = (Sphere((-0.1, -0.1, 0.1), 0.03),) if i_view == 4 else ()
         view = Scene(SCENE.objects + ghost, SCENE.background).render(K, world_from_camera, HEIGHT, WIDTH)
         volume.integrate(view.depth, view.rgb, K, world_from_camera)
