@@ -586,6 +586,41 @@ def dvc(
     say(f"next: dvc repro {root / 'dvc.yaml'}")
 
 
+@app.command()
+@_reporting
+def report(
+    root: Root,
+    out: Annotated[Path | None, typer.Option(help="File to write. [default: ROOT/report.html]", metavar="FILE")] = None,
+    json_: Json = False,
+) -> None:
+    """Write one HTML page with pictures of everything the dataset holds, and how good it is."""
+    from bask_data.report import summarise, write_report
+
+    dataset = Dataset(root)
+    with shown_progress():
+        file = write_report(dataset, out or root / "report.html")
+    if json_:
+        print(json.dumps({"command": "report", "file": str(file), **summarise(dataset)}, indent=2))
+    say(f"made {file}  (open it in a browser)")
+
+
+@app.command()
+@_reporting
+def doctor(
+    folder: Annotated[Path | None, typer.Option(help="Where datasets will go: is there room?", metavar="DIR")] = None,
+    json_: Json = False,
+) -> None:
+    """Say what this machine lacks, and the line that brings it."""
+    from bask_data import doctor as examiner
+
+    found = examiner.checks(folder)
+    say(examiner.render(found))
+    if json_:
+        print(examiner.as_json(found))
+    if examiner.missing(found):
+        raise typer.Exit(MissingDependency.exit_code)
+
+
 def _params_of(root: Path) -> Path | None:
     return root / "params.yaml" if (root / "params.yaml").exists() else None
 

@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from bask_data.cli import app
+from bask_data.dataset import Dataset
+from bask_data.kinds import Scan
+from bask_data.pipeline import STAGES
+from tests.test_stage import add_scan
+
+SHELF = str(Path(__file__).parents[1] / "datasets" / "apc_shelf")
+
+
+def cli(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Dataset:
+    dataset = Dataset.create(tmp_path / "table")
+    add_scan(dataset, "a")
+    return dataset
+
+
+def test_help_imports_nothing_heavy() -> None:
+    heavy = ("open3d", "torch", "zarr", "cv2", "sklearn", "scipy", "matplotlib", "numba", "pyarrow")
+    code = f"import sys, bask_data.cli; print([name for name in {heavy!r} if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
+def test_every_parameter_of_every_stage_is_an_option_that_says_what_it_does(stage) -> None:
+    shown = cli(stage.name, "--help")
+    assert shown.exit_code == 0
+    for name, field in stage.params.model_fields.items():
+        assert field.description, f"{stage.name}.{name} has no description"
+        assert f"--{name.replace('_', '-')}" in shown.stdout
+    for option in ("--jobs", "--cluster", "--force", "--config", "--set", "--dry-run", "--json"):
+        assert option in shown.stdout
+
+
+def test_no_stage_may_read_the_truth() -> None:
+    assert [stage.name for stage in STAGES if "truth" in [given.artifact.kind for given in stage.inputs]] == []
+
+
+def test_json_stands_alone_on_stdout(tmp_path: Path) -> None:
+    ended = cli("init", tmp_path / "d", "--json")
+    assert json.loads(ended.stdout)["command"] == "init"
+    assert "next: bask-data ingest" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["status", "{root}/none"], 4, "fix: bask-data init"),
+        (["init", "{root}"], 3, "expected no dataset, got one"),
+        (["reconstruct", "{root}", "--voxel-size", "-1"], 2, "voxel_size: expected"),
+        (["reconstruct", "{root}", "--only", "b"], 2, "--only: expected one of a, got b"),
+        (["run", "{root}", "--only", "b"], 2, "--only: expected one of a, got b"),
+        (["reconstruct", "{root}", "--set", "fuse.x=1"], 2, "fuse: expected one of reconstruct"),
+        (["objects", "{root}"], 2, "reconstruction/a is missing"),
+        (["reconstruct", "{root}", "--stage-version", "99"], 2, "fix: bask-data dvc"),
+        (["split", "{root}", "--train", "z"], 2, "splits: expected one of a, got z"),
+        (["encode", "{root}"], 2, "expected a demonstration, got none"),
+        (["no-such-command"], 2, "No such command"),
+        (["ingest", "frames", "{root}/none", "{root}", "--scene", "b"], 2, "does not exist"),
+    ],
+)
+def test_errors_have_a_code_and_a_remedy(dataset: Dataset, arguments: list[str], code: int, message: str) -> None:
+    ended = cli(*[argument.format(root=dataset.root) for argument in arguments])
+    assert (ended.exit_code, message in ended.stderr) == (code, True), ended.stderr
+
+
+def test_interrupt_leaves_with_130_and_says_how_to_go_on(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bask_data.cli.run", interrupted)
+    ended = cli("reconstruct", dataset.root)
+    assert ended.exit_code == 130
+    assert "the same command goes on from there" in ended.stderr
+
+
+def test_library_that_does_not_load_leaves_with_5(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    monkeypatch.delitem(sys.modules, "bask_data.core.tsdf", raising=False)
+    ended = cli("reconstruct", dataset.root)
+    assert ended.exit_code == 5
+    assert "fix: bask-data doctor" in ended.stderr
+
+
+def test_escape_sequences_from_strangers_never_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    from bask_data.console import say
+
+    say("a\x1b[31mb\x1b]0;title\x07c\nd")
+    assert capsys.readouterr().err == "ab]0;titlec\nd\n"
+
+
+def test_dry_run_says_what_and_why_and_makes_nothing(dataset: Dataset) -> None:
+    ended = cli("run", dataset.root, "--dry-run", "--json")
+    outcomes = json.loads(ended.stdout)["outcomes"]
+    assert outcomes[0]["label"] == "reconstruct a"
+    assert outcomes[0]["status"] == "would make"
+    assert not (dataset.root / "reconstruction").exists()
+
+
+def test_status_says_what_is_missing(dataset: Dataset) -> None:
+    rows = json.loads(cli("status", dataset.root, "--json").stdout)["artifacts"]
+    assert rows[0] == {"stage": "reconstruct", "label": "reconstruct a", "status": "missing", "why": ""}
+    assert {"stage": "objects", "label": "objects a", "status": "blocked", "why": "reconstruction/a is missing"} in rows
+
+
+def test_info_and_validate_of_a_recording(dataset: Dataset) -> None:
+    found = json.loads(cli("info", dataset.root, "--json").stdout)
+    assert found["artifacts"][0]["cameras"] == {"wrist": "2 x 6x4"}
+    assert cli("validate", dataset.root).exit_code == 0
+    (dataset.path(Scan, "a") / "wrist" / "zarr.json").unlink()
+    ended = cli("validate", dataset.root)
+    assert ended.exit_code == 4
+    assert "scan/a/wrist/zarr.json: missing." in ended.stderr
+
+
+def test_ingest_prints_every_assumption_and_refuses_to_overwrite(tmp_path: Path) -> None:
+    ended = cli("ingest", "apc", SHELF, tmp_path / "d", "--scene", "shelf")
+    assert ended.exit_code == 0
+    assert "assumed     world: the shelf bin's frame" in ended.stderr
+    assert "next: bask-data run" in ended.stderr
+    again = cli("ingest", "apc", SHELF, tmp_path / "d", "--scene", "shelf", "--fps", "5")
+    assert again.exit_code == 3
+    assert "pass --force" in again.stderr
+
+
+def test_lists_on_the_command_line_are_split_at_commas(dataset: Dataset) -> None:
+    ended = cli("reconstruct", dataset.root, "--workspace", "0,0,0,1,1", "--dry-run")
+    assert ended.exit_code == 2
+    assert "reconstruct: workspace" in ended.stderr
+    assert cli("reconstruct", dataset.root, "--workspace", "0,0,0,1,1,1", "--dry-run").exit_code == 0
+
+
+def test_split_is_recorded(dataset: Dataset) -> None:
+    add_scan(dataset, "b", level=9)
+    assert cli("split", dataset.root, "--train", "a", "--validation", "b").exit_code == 0
+    assert Dataset(dataset.root).file.splits.validation == ("b",)
+    assert np.array_equal(Dataset(dataset.root).items("scene"), ["a", "b"])
