@@ -225,7 +225,7 @@ def objects_figures(objects: ObjectInstances | None) -> dict[str, Any]:
 
 
 def masks_figures(masks: VisibleMasks | None, truth: Truth | None) -> dict[str, Any]:
-    """Per instance how visible it is, and, with labels, the IoU of each label with its best instance over all frames."""
+    """How visible each instance is, and, with labels, each one's IoU with its best instance over all frames."""
     if masks is None:
         return {}
     table = np.zeros((scores.N_LABELS, scores.N_LABELS), dtype=np.int64)

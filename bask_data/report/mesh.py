@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -32,11 +33,11 @@ class MeshScene:
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
         import open3d as o3d
 
-        self._core = o3d.core
+        self._core: Any = o3d.core
         self._triangles = triangles
         mesh = o3d.t.geometry.TriangleMesh()
-        mesh.vertex.positions = o3d.core.Tensor(np.ascontiguousarray(vertices, np.float32))
-        mesh.triangle.indices = o3d.core.Tensor(np.ascontiguousarray(triangles, np.int32))
+        mesh.vertex.positions = self._core.Tensor(np.ascontiguousarray(vertices, np.float32))
+        mesh.triangle.indices = self._core.Tensor(np.ascontiguousarray(triangles, np.int32))
         mesh.compute_vertex_normals()
         self._normals = mesh.vertex.normals.numpy()
         self._scene = o3d.t.geometry.RaycastingScene()
@@ -119,7 +120,8 @@ def orbit_views(
     low, high = np.percentile(vertices[:: max(len(vertices) // 50_000, 1)], [1, 99], axis=0)
     centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     K = np.array([[1.5 * height, 0, (width - 1) / 2], [0, 1.5 * height, (height - 1) / 2], [0, 0, 1]])
-    towards = world_from_cameras[:, :3, 3].mean(axis=0) - centre
+    eyes = world_from_cameras[:, :3, 3] - centre
+    towards = eyes.mean(axis=0)
     level = towards - (towards @ up) * up
     if np.linalg.norm(level) < 0.2 * radius:  # Recorded from right above, or from within.
         level = world_from_cameras[0, :3, 0] - (world_from_cameras[0, :3, 0] @ up) * up
@@ -127,11 +129,13 @@ def orbit_views(
         level = np.linalg.svd(up[None])[2][1]
     level = level / np.linalg.norm(level)
     side = np.cross(up, level)
+    # The cameras' way should be in the picture, but not make the mesh a dot.
+    fitted = float(np.clip(0.9 * np.linalg.norm(eyes, axis=1).max(), radius, 1.8 * radius))
     views = []
     for azimuth in np.deg2rad([-45.0, 45.0]):
         for_elevation = np.deg2rad(35.0)
         heading = np.cos(for_elevation) * (np.cos(azimuth) * level + np.sin(azimuth) * side)
-        eye = centre + 2.9 * radius * (heading + np.sin(for_elevation) * up)
+        eye = centre + 2.9 * fitted * (heading + np.sin(for_elevation) * up)
         views.append(Viewpoint(K, _look_at(eye, centre, up), height, width))
     return views
 
@@ -159,8 +163,8 @@ def draw_path(
     for i in range(len(pixel)):
         colour = tuple(int(x) for x in colours[i])
         if inside[i] and i and inside[i - 1]:
-            ends = [tuple(int(x) for x in np.rint(pixel[j])) for j in (i - 1, i)]
-            cv2.line(drawn, *ends, colour, 2, cv2.LINE_AA)
+            start, end = (tuple(int(x) for x in np.rint(pixel[j])) for j in (i - 1, i))
+            cv2.line(drawn, start, end, colour, 2, cv2.LINE_AA)
         if inside[i] and (len(pixel) <= 60 or i % (len(pixel) // 60 + 1) == 0):
             cv2.circle(drawn, tuple(int(x) for x in np.rint(pixel[i])), 3, colour, -1, cv2.LINE_AA)
     return drawn

@@ -15,6 +15,8 @@ from bask_data.errors import BaskError
 from bask_data.report import sections
 
 TEMPLATE = "page.html.j2"
+NBSP = "\u00a0"
+"""A number and its unit stay on one line."""
 
 
 def render(dataset: Dataset) -> str:
@@ -80,33 +82,45 @@ def percent(value: float | None) -> str:
     """A share in percent."""
     if value is None or value != value:
         return "–"
-    return f"{100 * value:.1f} %" if value < 0.0995 else f"{100 * value:.0f} %"
+    return f"{100 * value:.1f}{NBSP}%" if 0 < value < 0.0995 else f"{100 * value:.0f}{NBSP}%"
 
 
 def millimetres(value: float | None) -> str:
     """Metres, written in millimetres or centimetres."""
     if value is None or value != value:
         return "–"
-    return f"{1000 * value:.1f} mm" if value < 0.1 else f"{100 * value:.1f} cm" if value < 1 else f"{value:.2f} m"
+    return (
+        f"{1000 * value:.1f}{NBSP}mm"
+        if value < 0.1
+        else f"{100 * value:.1f}{NBSP}cm"
+        if value < 1
+        else f"{value:.2f}{NBSP}m"
+    )
 
 
 def size(value: float | None) -> str:
     """Bytes."""
     if value is None:
         return "–"
-    return f"{value / 1e9:.1f} GB" if value >= 1e9 else f"{value / 1e6:.1f} MB" if value >= 1e5 else f"{value / 1e3:.0f} kB"
+    return (
+        f"{value / 1e9:.1f}{NBSP}GB"
+        if value >= 1e9
+        else f"{value / 1e6:.1f}{NBSP}MB"
+        if value >= 1e5
+        else f"{value / 1e3:.0f}{NBSP}kB"
+    )
 
 
 def duration(value: float | None) -> str:
     """Seconds."""
     if value is None:
         return "–"
-    return f"{value:.1f} s" if value < 100 else f"{int(value) // 60} min {int(value) % 60:02d} s"
+    return f"{value:.1f}{NBSP}s" if value < 100 else f"{int(value) // 60}{NBSP}min {int(value) % 60:02d}{NBSP}s"
 
 
 def svg(text: str) -> markupsafe.Markup:
     """A plot of ours, which is markup; nothing else on the page is."""
-    return markupsafe.Markup(text)  # noqa: S704  # Drawn by `plots`, which puts no text of others in it.
+    return markupsafe.Markup(text)  # Drawn by `plots`, which puts no text of others in it.
 
 
 FILTERS = {

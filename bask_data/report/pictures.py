@@ -6,6 +6,7 @@ import base64
 import colorsys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -36,9 +37,9 @@ def css(colour: Colour) -> str:
 
 def jpeg_uri(rgb: np.ndarray, quality: int = 80) -> str:
     """The image (h, w, 3) uint8 as a data URI."""
-    done, data = cv2.imencode(
-        ".jpg", cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality]
-    )
+    # Half the colour resolution, the default, blurs what is drawn: thin coloured lines and dots.
+    how = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2BGR), how)
     assert done, "OpenCV encodes any 8-bit image"
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
@@ -65,16 +66,17 @@ def depth_picture(depth: np.ndarray, near: float, far: float) -> np.ndarray:
 
 def turbo_gradient() -> str:
     """The colours of `depth_picture`, near to far, as a CSS gradient."""
-    ramp = np.linspace(0, 255, 12).astype(np.uint8)[:, None]
-    colours = cv2.cvtColor(cv2.applyColorMap(ramp, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)[:, 0]
-    return "linear-gradient(90deg," + ",".join(css(tuple(int(x) for x in colour)) for colour in colours) + ")"
+    return _gradient(cv2.COLORMAP_TURBO)
 
 
 def heat_gradient() -> str:
     """The colours of `heat_picture`, none to most, as a CSS gradient."""
-    ramp = np.linspace(0, 255, 8).astype(np.uint8)[:, None]
-    colours = cv2.cvtColor(cv2.applyColorMap(ramp, cv2.COLORMAP_INFERNO), cv2.COLOR_BGR2RGB)[:, 0]
-    return "linear-gradient(90deg," + ",".join(css(tuple(int(x) for x in colour)) for colour in colours) + ")"
+    return _gradient(cv2.COLORMAP_INFERNO)
+
+
+def _gradient(colour_map: int) -> str:
+    ramp = cv2.applyColorMap(np.linspace(0, 255, 12).astype(np.uint8)[:, None], colour_map)[:, 0]
+    return f"linear-gradient(90deg,{','.join(css((int(r), int(g), int(b))) for b, g, r in ramp)})"
 
 
 def mask_picture(rgb: np.ndarray, instance: np.ndarray, labels: np.ndarray | None, width: int) -> np.ndarray:
@@ -119,9 +121,7 @@ def _tag(picture: np.ndarray, text: str, centre: tuple[float, float], colour: Co
     cv2.putText(picture, text, (u, v), _FONT, scale, (0, 0, 0) if bright else (255, 255, 255), 1, cv2.LINE_AA)
 
 
-def matches_picture(
-    rgb_a: np.ndarray, rgb_b: np.ndarray, uv_a: np.ndarray, uv_b: np.ndarray, width: int
-) -> np.ndarray:
+def matches_picture(rgb_a: np.ndarray, rgb_b: np.ndarray, uv_a: np.ndarray, uv_b: np.ndarray, width: int) -> np.ndarray:
     """Two images side by side, each match a line in a colour of its own."""
     gap = 6
     left, right = resize(rgb_a, (width - gap) // 2), resize(rgb_b, (width - gap) // 2)
@@ -130,11 +130,12 @@ def matches_picture(
     picture[: len(left), : left.shape[1]] = left
     picture[: len(right), left.shape[1] + gap :] = right
     start = scale_pixels(uv_a.astype(np.float64), rgb_a.shape[:2], left.shape[:2])
-    end = scale_pixels(uv_b.astype(np.float64), rgb_b.shape[:2], right.shape[:2]) + [left.shape[1] + gap, 0]
+    end = scale_pixels(uv_b.astype(np.float64), rgb_b.shape[:2], right.shape[:2])
+    end[:, 0] += left.shape[1] + gap
     for a, b, colour in zip(start, end, palette(len(start)), strict=True):
         cv2.line(picture, _fixed(a), _fixed(b), colour, 1, cv2.LINE_AA, _SUBPIXEL_BITS)
         for point in (a, b):
-            _dot(picture, point, 4.0, colour)
+            _dot(picture, point, 3.0, colour)
     return picture
 
 
@@ -181,7 +182,7 @@ def marks_picture(rgb: np.ndarray, marks: Sequence[Mark], width: int) -> np.ndar
     for mark in marks:
         point = scale_pixels(mark.pixel.astype(np.float64), size, new_size)
         if np.isfinite(point).all() and (np.abs(point) < 2 * width).all():
-            _number(picture, str(mark.number), point + [7, -6], mark.colour)
+            _number(picture, str(mark.number), point + np.array([8, -7]))
     return picture
 
 
@@ -223,10 +224,12 @@ def _fixed(point: np.ndarray) -> tuple[int, int]:
 def _dot(picture: np.ndarray, point: np.ndarray, radius: float, colour: Colour, filled: bool = True) -> None:
     size = round(radius * 2**_SUBPIXEL_BITS)
     if filled:
-        cv2.circle(picture, _fixed(point), size, colour, -1, cv2.LINE_AA, _SUBPIXEL_BITS)
-        cv2.circle(picture, _fixed(point), size, (0, 0, 0), 1, cv2.LINE_AA, _SUBPIXEL_BITS)
+        # A black and a white ring: one of them stands out from any background, even one of the dot's colour.
+        for more, stroke in ((2.0, (0, 0, 0)), (1.0, (255, 255, 255)), (0.0, colour)):
+            ring = size + round(more * 2**_SUBPIXEL_BITS)
+            cv2.circle(picture, _fixed(point), ring, stroke, -1, cv2.LINE_AA, _SUBPIXEL_BITS)
     else:
-        cv2.circle(picture, _fixed(point), size, (0, 0, 0), 3, cv2.LINE_AA, _SUBPIXEL_BITS)
+        cv2.circle(picture, _fixed(point), size, (0, 0, 0), 4, cv2.LINE_AA, _SUBPIXEL_BITS)
         cv2.circle(picture, _fixed(point), size, colour, 2, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
@@ -237,14 +240,14 @@ def _cross(picture: np.ndarray, point: np.ndarray, colour: Colour, arm: float = 
             cv2.line(picture, *ends, stroke, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _number(picture: np.ndarray, text: str, point: np.ndarray, colour: Colour) -> None:
+def _number(picture: np.ndarray, text: str, point: np.ndarray) -> None:
     u, v = (int(x) for x in np.rint(point))
     cv2.putText(picture, text, (u, v), _FONT, 0.45, (0, 0, 0), 3, cv2.LINE_AA)
-    cv2.putText(picture, text, (u, v), _FONT, 0.45, colour, 1, cv2.LINE_AA)
+    cv2.putText(picture, text, (u, v), _FONT, 0.45, (255, 255, 255), 1, cv2.LINE_AA)
 
 
 def _line(picture: np.ndarray, points: np.ndarray, colour: Colour) -> None:
-    for a, b in zip(points[:-1], points[1:], strict=True):
+    for a, b in pairwise(points):
         if np.isfinite([*a, *b]).all():
             cv2.line(picture, _fixed(a), _fixed(b), colour, 1, cv2.LINE_AA, _SUBPIXEL_BITS)
 
@@ -253,5 +256,5 @@ def _ellipse(picture: np.ndarray, point: np.ndarray, covariance: np.ndarray, col
     values, vectors = np.linalg.eigh(covariance)
     axes = np.sqrt(np.clip(values, 0, picture.shape[1] ** 2))
     angle = float(np.rad2deg(np.arctan2(vectors[1, 1], vectors[0, 1])))
-    size = tuple(int(round(x * 2**_SUBPIXEL_BITS)) for x in (axes[1], axes[0]))
+    size = tuple(round(float(x) * 2**_SUBPIXEL_BITS) for x in (axes[1], axes[0]))
     cv2.ellipse(picture, _fixed(point), size, angle, 0, 360, colour, 1, cv2.LINE_AA, _SUBPIXEL_BITS)

@@ -7,6 +7,7 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -39,8 +40,9 @@ def line_plot(
     """
     import matplotlib
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    style = {
+    style: Any = {
         "svg.fonttype": "none",
         "svg.hashsalt": "bask-data",
         "font.family": "sans-serif",
@@ -76,6 +78,10 @@ def line_plot(
             axes.spines[side].set_visible(False)
         if logarithmic and any((curve.y[np.isfinite(curve.y)] > 0).any() for curve in curves):
             axes.set_yscale("log")
+            # The default writes powers as TeX, and only whole ones, of which there may be none in the range.
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axes.yaxis.set_minor_formatter(NullFormatter())
         elif y_range:
             axes.set_ylim(*y_range)
         else:

@@ -1,8 +1,7 @@
 """The report's sections: what each picture shows, and the figures that belong beside it.
 
-A section is a list of parts, one per item; no part, no section. A part is a plain dictionary that the template knows how
-to lay out: `figures` are label and text, `tiles` are pictures, `tables` rows, `plots` curves, `notes` what a person
-should know.
+A section is a list of parts, one per item; no part, no section. A part is a plain dictionary that the template knows
+how to lay out: `numbers` are figures, `tiles` pictures, `rows` lines of a table, `plots` curves; `error` stands alone.
 """
 
 from __future__ import annotations
@@ -106,7 +105,7 @@ def per_item(names: Sequence[str], part: Callable[[str], Part | None]) -> list[P
     return parts
 
 
-# Summary ---------------------------------------------------------------------------------------------------------------------
+# Summary -------------------------------------------------------------------------------------------------------------
 
 
 def overview(chosen: Chosen) -> Part:
@@ -145,18 +144,23 @@ def _missing(chosen: Chosen) -> list[str]:
             found.append(f"{name}: its frames are not in the dataset.")
         if find_truth(dataset, name) is None:
             found.append(f"No ground truth for {name}: nothing on this page says how right its results are.")
-    for kind, what in (
+    of_scenes: list[tuple[type[Artifact], str]] = [
         (Reconstruction, "reconstruction"),
         (ObjectInstances, "objects"),
         (VisibleMasks, "masks"),
         (Correspondences, "correspondences"),
-    ):
+    ]
+    of_dataset: list[tuple[type[Artifact], str]] = [
+        (DescriptorNet, "descriptor network"),
+        (ReferenceKeypoints, "reference keypoints"),
+    ]
+    for kind, what in of_scenes:
         without = [name for name in chosen.scenes if not find(dataset, kind, name)]
         if without:
             found.append(f"No {what} yet: {', '.join(without)}.")
     if not chosen.scenes:
         found.append("No scan.")
-    for kind, what in ((DescriptorNet, "descriptor network"), (ReferenceKeypoints, "reference keypoints")):
+    for kind, what in of_dataset:
         if not any(find(dataset, kind, "", variant) for variant in chosen.variants):
             found.append(f"No {what} yet.")
     without = [
@@ -200,7 +204,7 @@ def _headline(chosen: Chosen) -> list[tuple[str, str]]:
         if found["error_m"].n:
             rows.append((millimetres(found["error_m"].median), f"median keypoint error in {where}"))
         if found["on_object"].n:
-            rows.append((percent(found["on_object"].right), f"of them on the right object in {where}"))
+            rows.append((percent(found["on_object"].right), f"of keypoint positions on the right object in {where}"))
     return rows
 
 
@@ -224,7 +228,7 @@ def _count(n: int, what: str) -> str:
     return f"{n:,} {what}" if n == 1 else f"{n:,} {what}s"
 
 
-# Input frames ----------------------------------------------------------------------------------------------------------------
+# Input frames --------------------------------------------------------------------------------------------------------
 
 
 def frames(chosen: Chosen) -> list[Part]:
@@ -270,7 +274,7 @@ def _shrunk_depth(depth: np.ndarray) -> np.ndarray:
     return draw.resize_labels(depth, (max(1, round(depth.shape[0] * TILE / depth.shape[1])), TILE))
 
 
-# Reconstruction and objects --------------------------------------------------------------------------------------------------
+# Reconstruction and objects ------------------------------------------------------------------------------------------
 
 
 def reconstruction(chosen: Chosen) -> list[Part]:
@@ -339,7 +343,7 @@ def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: Obje
     up = up_direction(plane.support_plane if plane else None, path)
     scene = MeshScene(mesh.vertices, mesh.triangles)
     colours = mesh.colors if objects is None else _instance_colours(objects, mesh.colors)
-    how = {"sharp": objects is not None, "ambient": 0.5 if objects is None else 0.35}
+    sharp, ambient = objects is not None, 0.5 if objects is None else 0.35
     tiles = []
     if cameras:
         camera, i_frame = cameras[0], cameras[0].n_frames // 2
@@ -351,12 +355,12 @@ def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: Obje
         if objects is None:
             picture = draw.resize(camera.rgb(i_frame), PICTURE)
             tiles.append({"uri": draw.jpeg_uri(picture), "text": f"frame {i_frame} as recorded"})
-        picture = scene.render(colours, view, **how)
+        picture = scene.render(colours, view, sharp=sharp, ambient=ambient)
         tiles.append({"uri": draw.jpeg_uri(picture), "text": f"the mesh from where frame {i_frame} was taken"})
     for view, side in zip(
         orbit_views(mesh.vertices, path, up, height=3 * PICTURE // 4, width=PICTURE), ("left", "right"), strict=True
     ):
-        picture = scene.render(colours, view, **how)
+        picture = scene.render(colours, view, sharp=sharp, ambient=ambient)
         if objects is None and cameras:
             picture = draw_path(picture, view, path, FIRST, LAST)
         tiles.append({"uri": draw.jpeg_uri(picture), "text": f"from above, {side}"})
@@ -373,7 +377,7 @@ def _instance_colours(objects: ObjectInstances, vertex_colours: np.ndarray) -> n
     return result.astype(np.uint8)
 
 
-# Masks -----------------------------------------------------------------------------------------------------------------------
+# Masks ---------------------------------------------------------------------------------------------------------------
 
 
 def masks(chosen: Chosen) -> list[Part]:
@@ -424,7 +428,7 @@ def _mask_tiles(scan: Any, masks: VisibleMasks, truth: Truth | None, camera: str
     return tiles
 
 
-# Matches ---------------------------------------------------------------------------------------------------------------------
+# Matches -------------------------------------------------------------------------------------------------------------
 
 
 def matches(chosen: Chosen) -> list[Part]:
@@ -494,7 +498,7 @@ def _spread_matches(instance: np.ndarray) -> np.ndarray:
     return np.sort(order[np.argsort(rank[order], kind="stable")][:N_MATCHES])
 
 
-# Training --------------------------------------------------------------------------------------------------------------------
+# Training ------------------------------------------------------------------------------------------------------------
 
 
 def training(chosen: Chosen) -> list[Part]:
@@ -525,7 +529,7 @@ def _curve_plots(descriptor: DescriptorNet) -> list[Part]:
     for family, members in families.items():
         colours = [draw.css(colour) for colour in draw.palette(len(members))]
         curves, legend = [], []
-        for name, colour in list(zip(members, colours, strict=True))[:N_ITEMS * 4]:
+        for name, colour in list(zip(members, colours, strict=True))[: N_ITEMS * 4]:
             chosen = names == name
             curves.append(_curve(step[chosen], values[chosen], colour))
             legend.append({"name": name, "colour": colour, "last": float(values[chosen][-1])})
@@ -573,7 +577,7 @@ def _training_plot(curves: list[Any], family: str) -> str:
     )
 
 
-# Reference keypoints and heat maps -------------------------------------------------------------------------------------------
+# Reference keypoints and heat maps -----------------------------------------------------------------------------------
 
 
 def reference(chosen: Chosen) -> list[Part]:
@@ -587,7 +591,8 @@ def reference(chosen: Chosen) -> list[Part]:
         by_frame: dict[tuple[str, str, int], list[int]] = {}
         for i, pick in enumerate(found.picks):
             by_frame.setdefault((pick.recording, pick.camera, pick.frame), []).append(i)
-        tiles, unseen = [], []
+        tiles: list[Part] = []
+        unseen = []
         for (recording, camera, i_frame), indices in by_frame.items():
             image = _frame_of(chosen.dataset, found.picks[indices[0]])
             if image is None:
@@ -725,7 +730,7 @@ def _distance_maps(descriptor: DescriptorNet, references: np.ndarray) -> Callabl
     raise NotImplementedError
 
 
-# Tracks ----------------------------------------------------------------------------------------------------------------------
+# Tracks --------------------------------------------------------------------------------------------------------------
 
 
 def tracks(chosen: Chosen) -> list[Part]:
@@ -739,7 +744,7 @@ def tracks(chosen: Chosen) -> list[Part]:
         return {
             "title": name + (f" ({variant})" if len(chosen.variants) > 1 else ""),
             "numbers": numbers,
-            "strips": _strips(scored, colours),
+            "strips": _strips(scored, colours, N_FRAMES if variant == chosen.variants[0] else N_FRAMES // 2),
             "plots": _track_plots(scored, colours),
             "rows": [
                 {"number": i + 1, "colour": draw.css(colours[i]), **row}
@@ -749,7 +754,9 @@ def tracks(chosen: Chosen) -> list[Part]:
             "n_trail": N_TRAIL,
         }
 
-    return per_item(list(labels), part)
+    parts = per_item(list(labels), part)
+    compared = [{"title": one["title"], **one["numbers"]} for one in parts if "numbers" in one]
+    return [{"title": "", "compared": compared}, *parts] if len(compared) > 1 else parts
 
 
 def _pixels(points_world: np.ndarray, camera: Any, i_frame: int) -> np.ndarray:
@@ -757,7 +764,7 @@ def _pixels(points_world: np.ndarray, camera: Any, i_frame: int) -> np.ndarray:
     return project(transform(camera_from_world, points_world.astype(np.float64)), camera.K)[0]
 
 
-def _strips(scored: TrackScores, colours: list[draw.Colour]) -> list[Part]:
+def _strips(scored: TrackScores, colours: list[draw.Colour], n_frames: int) -> list[Part]:
     """A strip of frames per camera, with keypoints, trails, one-sigma ellipses and true places."""
     recording = scored.recording
     if recording is None:
@@ -769,7 +776,7 @@ def _strips(scored: TrackScores, colours: list[draw.Colour]) -> list[Part]:
         camera = recording.camera(name)
         pixel, observed = scored.track.pixel(name), scored.track.observed(name)
         tiles = []
-        for i_frame in spread_frames(min(camera.n_frames, len(pixel)), N_FRAMES):
+        for i_frame in spread_frames(min(camera.n_frames, len(pixel)), n_frames):
             marks = _track_marks(scored, camera, i_frame, pixel[i_frame], observed[i_frame], colours)
             uri = draw.jpeg_uri(draw.marks_picture(camera.rgb(i_frame), marks, PICTURE))
             tiles.append({"uri": uri, "text": f"frame {i_frame}"})
@@ -828,7 +835,7 @@ def _track_plots(scored: TrackScores, colours: list[draw.Colour]) -> list[Part]:
         {
             "title": "Spread",
             "svg": _over_time(scored.spread * 1000, colours, "spread, mm"),
-            "caption": "Root of the covariance's trace: how unsure the filter is of itself; the thick line is the median.",
+            "caption": "Root of the covariance's trace: how unsure the filter is; the thick line is the median.",
         }
     )
     if not scored.why_no_share():

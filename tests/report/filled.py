@@ -140,7 +140,9 @@ def publish_scene(dataset: Dataset, item: str, seen: Views) -> None:
 def frame_mesh(seen: Views) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The surface one frame shows, a vertex a pixel: vertices, triangles, instance and colour of each vertex."""
     view = seen.views[-1]
-    points = transform(seen.world_from_cameras[-1], unproject(pixel_grid(HEIGHT, WIDTH), view.depth.astype(float), seen.K))
+    points = transform(
+        seen.world_from_cameras[-1], unproject(pixel_grid(HEIGHT, WIDTH), view.depth.astype(float), seen.K)
+    )
     corner = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
     a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
     triangles = np.concatenate([np.stack([a, c, b], -1).reshape(-1, 3), np.stack([b, c, d], -1).reshape(-1, 3)])
@@ -178,10 +180,13 @@ def _write_matches(out: Path, seen: Views) -> None:
                 camera_a="wrist", frame_a=a, camera_b="wrist", frame_b=b, n_attempts=500, distance=0.3, angle=0.5
             )
             columns = {"u_a": uv[:, 0], "v_a": uv[:, 1], "u_b": other[:, 0], "v_b": other[:, 1]}
-            yield row, {
-                "instance": seen.views[a].instance[v, u],
-                **{name: x.astype(np.float32) for name, x in columns.items()},
-            }
+            yield (
+                row,
+                {
+                    "instance": seen.views[a].instance[v, u],
+                    **{name: x.astype(np.float32) for name, x in columns.items()},
+                },
+            )
 
     Correspondences.write(out, pairs(), {"occluded": 321, "outside_image": 45, "cycle": 6})
 
@@ -198,7 +203,9 @@ def picked(scan: Views, i_frame: int, instance: int) -> tuple[np.ndarray, np.nda
 def true_places(scan: Views, demonstration: Views) -> np.ndarray:
     return np.array(
         [
-            transform(demonstration.world_from_boxes[i] @ np.linalg.inv(scan.world_from_boxes[i]), picked(scan, 2, i + 1)[1])
+            transform(
+                demonstration.world_from_boxes[i] @ np.linalg.inv(scan.world_from_boxes[i]), picked(scan, 2, i + 1)[1]
+            )
             for i in (0, 1)
         ]
     )
@@ -224,7 +231,7 @@ def publish_keypoints(dataset: Dataset, scan: Views, demonstration: Views, names
     publish_artifact(
         dataset, ReferenceKeypoints, "", lambda out: ReferenceKeypoints.write(out, descriptors=descriptors, picks=picks)
     )
-    places = true_places(scan, demonstration) + [0, 0, OFFSET]
+    places = true_places(scan, demonstration) + np.array([0, 0, OFFSET])
     publish_artifact(dataset, KeypointTrack, "demo-a", lambda out: _write_track(out, demonstration, names, places))
 
 
@@ -250,7 +257,9 @@ def publish_curve(dataset: Dataset, name: str = "loss", validated_on: str = "hel
         dataset,
         DescriptorNet,
         "",
-        lambda out: DescriptorNet.write(out, validated_on=validated_on, metrics={"pck_8px": 0.8}, curve=curve)
-        or (out / "model.json").write_text('{"backbone": "resnet18", "descriptor_dim": 8}')
-        or (out / "weights.safetensors").write_bytes(b""),
+        lambda out: (
+            DescriptorNet.write(out, validated_on=validated_on, metrics={"pck_8px": 0.8}, curve=curve)
+            or (out / "model.json").write_text('{"backbone": "resnet18", "descriptor_dim": 8}')
+            or (out / "weights.safetensors").write_bytes(b"")
+        ),
     )
