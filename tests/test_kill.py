@@ -1,0 +1,103 @@
+"""SIGKILL at random moments of a whole run: what was finished stays, the next run completes, nothing is done twice."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+
+from bask_data.artifact import read_manifest
+from bask_data.dataset import Dataset
+from bask_data.validate import artifacts_on_disk, validate
+from tests.tiny import PARAMS, write_recording
+
+COMMAND = [sys.executable, "-m", "bask_data.cli"]
+
+
+def bask_data(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def ingested(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset with a scan and a demonstration, and nothing made from them yet."""
+    folder = tmp_path_factory.mktemp("tiny")
+    for name, kind, seed in (("a", "scan", 0), ("b", "demonstration", 0)):
+        options = write_recording(folder / name, seed=seed)
+        ended = bask_data("ingest", "frames", folder / name, folder / "d", "--scene", name, "--as", kind, *options)
+        assert ended.returncode == 0, ended.stderr
+    (folder / "params.yaml").write_text(yaml.safe_dump(PARAMS))
+    return folder
+
+
+def finished(root: Path) -> dict[str, tuple[int, int, str]]:
+    """What identifies each artifact on disk: a remade one has another inode or time."""
+    found = {}
+    for artifact in artifacts_on_disk(Dataset(root)):
+        status = artifact.path.stat()
+        found[str(artifact.path.relative_to(root))] = (
+            status.st_ino,
+            status.st_mtime_ns,
+            read_manifest(artifact.path).digest,
+        )
+    return found
+
+
+def killed_and_finished(ingested: Path, root: Path, seconds: float) -> tuple[int, dict[str, str]]:
+    """Kill a run after so long, run again, and hold what must hold. Gives how many artifacts the kill left finished."""
+    shutil.copytree(ingested / "d", root)
+    arguments = ["run", str(root), "--config", str(ingested / "params.yaml")]
+    process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.DEVNULL, start_new_session=True)
+    time.sleep(seconds)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    before = finished(root)
+    assert validate(Dataset(root)) == []
+    again = bask_data(*arguments)
+    assert again.returncode == 0, again.stderr
+    after = finished(root)
+    assert {name: after[name] for name in before} == before
+    assert validate(Dataset(root)) == []
+    assert not [entry for entry in (root / ".scratch").iterdir() if entry.is_dir()]
+    return len(before), {name: digest for name, (_, _, digest) in after.items()}
+
+
+def run_uninterrupted(ingested: Path, root: Path) -> tuple[float, dict[str, str]]:
+    shutil.copytree(ingested / "d", root)
+    begun = time.monotonic()
+    ended = bask_data("run", root, "--config", ingested / "params.yaml")
+    assert ended.returncode == 0, ended.stderr
+    return time.monotonic() - begun, {name: digest for name, (_, _, digest) in finished(root).items()}
+
+
+def hold(ingested: Path, tmp_path: Path, n_kills: int) -> None:
+    seconds, digests = run_uninterrupted(ingested, tmp_path / "whole")
+    chance = random.Random(0)
+    left = set()
+    for i_kill in range(n_kills):
+        moment = chance.uniform(0.2, seconds)
+        n_left, again = killed_and_finished(ingested, tmp_path / "killed", moment)
+        assert again == digests, f"kill {i_kill} after {moment:.2f} s"
+        left.add(n_left)
+        shutil.rmtree(tmp_path / "killed")
+    # Kills that all fall before the first artifact or after the last would prove nothing.
+    assert len(left) > 1
+
+
+@pytest.mark.kill
+def test_a_few_kills_lose_nothing_finished(ingested: Path, tmp_path: Path) -> None:
+    hold(ingested, tmp_path, 4)
+
+
+@pytest.mark.kill
+@pytest.mark.slow
+def test_a_hundred_kills_lose_nothing_finished(ingested: Path, tmp_path: Path) -> None:
+    hold(ingested, tmp_path, 100)
