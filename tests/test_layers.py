@@ -53,6 +53,7 @@ def test_imports_go_downwards_only() -> None:
     ],
 )
 def test_an_import_upwards_breaks_the_contract(copy: Path, module: str, line: str, complaint: str) -> None:
+    (copy / "bask_data" / module).parent.mkdir(exist_ok=True)
     with (copy / "bask_data" / module).open("a") as file:
         file.write(f"\n{line}\n")
     answer = lint_imports(copy)
