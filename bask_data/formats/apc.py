@@ -17,6 +17,7 @@ from numpy import ndarray
 
 from bask_data.core.geometry import invert_rigid
 from bask_data.errors import BadData
+from bask_data.formats.agreement import agreement
 from bask_data.formats.camera import ImageFiles, camera_recording, parse_intrinsics, parse_pose, read_poses
 from bask_data.formats.files import frame_number, matching, member, numbers, paired, read_bytes, source_folder
 from bask_data.formats.options import ApcOptions
@@ -63,6 +64,7 @@ def read(source: Path, options: ApcOptions) -> Recording:
             "intrinsics": "the colour camera's, for colour and depth alike, no lens distortion",
             "time": f"frame number / {options.fps:g} per second: the files state none",
             "labels": f"{labels}, taken as truth for reports only" if labels else "none found",
+            "agreement": agreement(camera, {}),
         },
         files=(*color, *depth, *label, *rig.files),
     )

@@ -12,6 +12,7 @@ from numpy import ndarray
 
 from bask_data.core.geometry import invert_rigid
 from bask_data.errors import BadData
+from bask_data.formats.agreement import agreement
 from bask_data.formats.camera import (
     OPENCV_FROM_OPENGL,
     ImageFiles,
@@ -54,7 +55,8 @@ def read(source: Path, options: FramesOptions) -> Recording:
         cameras=(camera,),
         robot=None,
         label_names={},
-        assumptions=_assumptions(options, clock.assumption),
+        assumptions=_assumptions(options, clock.assumption)
+        | {"agreement": agreement(camera, _otherwise(given, options))},
         files=(*color, *depth, *pose_files, *intrinsics_files, *clock.files),
     )
 
@@ -63,6 +65,16 @@ def to_world_from_camera(given: Float[ndarray, "t 4 4"], pose_is: str, axes: str
     """The poses of OpenCV cameras, from poses given either way round and for either kind of camera axes."""
     world_from_cameras = invert_rigid(given) if pose_is == "camera_from_world" else given
     return world_from_cameras @ OPENCV_FROM_OPENGL if axes == "opengl" else world_from_cameras
+
+
+def _otherwise(given: Float[ndarray, "t 4 4"], options: FramesOptions) -> dict[str, Float[ndarray, "t 4 4"]]:
+    """The same poses under the three other readings."""
+    return {
+        f"--pose-is {pose_is} --axes {axes}": to_world_from_camera(given, pose_is, axes)
+        for pose_is in ("world_from_camera", "camera_from_world")
+        for axes in ("opencv", "opengl")
+        if (pose_is, axes) != (options.pose_is, options.axes)
+    }
 
 
 def _raw_values(text: str) -> tuple[int, ...]:

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from bask_data.errors import BadData
+from bask_data.formats.agreement import agreement
 from bask_data.formats.camera import ImageFiles, camera_recording, parse_intrinsics, parse_pose
 from bask_data.formats.files import member, numbers, read_lines, source_folder
 from bask_data.formats.options import TumOptions
@@ -58,7 +59,7 @@ def read(source: Path, options: TumOptions) -> Recording:
         cameras=(camera,),
         robot=None,
         label_names={},
-        assumptions=_assumptions(options, len(color_time), used.size),
+        assumptions=_assumptions(options, len(color_time), used.size) | {"agreement": agreement(camera, {})},
         files=(
             *(source / name for name in ("rgb.txt", "depth.txt", "groundtruth.txt")),
             *intrinsics_files,

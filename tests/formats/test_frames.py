@@ -233,7 +233,7 @@ def test_whatever_bytes_a_file_holds_the_answer_is_frames_or_an_error_with_its_n
 
 def test_assumptions_say_everything_that_the_files_do_not(tmp_path: Path) -> None:
     write_frames(tmp_path, np.eye(4)[None])
-    assert set(read(tmp_path).assumptions) == {"pose", "camera axes", "depth", "intrinsics", "time"}
+    assert set(read(tmp_path).assumptions) == {"pose", "camera axes", "depth", "intrinsics", "time", "agreement"}
 
 
 def test_a_recording_read_in_the_right_convention_agrees_with_itself_and_in_a_wrong_one_does_not(
@@ -251,6 +251,14 @@ def test_a_recording_read_in_the_right_convention_agrees_with_itself_and_in_a_wr
         "intrinsics": str(shelf / "camera-intrinsics.color.txt"),
         "depth_scale": 1e-4,
     }
-    assert median_depth_disagreement(read(tmp_path, **options), 0, 1) < 0.006
-    assert not median_depth_disagreement(read(tmp_path, **options, pose_is="camera_from_world"), 0, 1) < 0.03
-    assert not median_depth_disagreement(read(tmp_path, **options, axes="opengl"), 0, 1) < 0.03
+    right = read(tmp_path, **options)
+    assert median_depth_disagreement(right, 0, 1) < 0.006
+    assert right.assumptions["agreement"].startswith("9")
+    for wrong in ({"pose_is": "camera_from_world"}, {"axes": "opengl"}):
+        recording = read(tmp_path, **options, **wrong)
+        assert not median_depth_disagreement(recording, 0, 1) < 0.03
+        assert "with --pose-is world_from_camera --axes opencv it would be 9" in recording.assumptions["agreement"]
+    assert (
+        "look at the poses, the intrinsics and the depth scale"
+        in read(tmp_path, **options | {"depth_scale": 5e-4}).assumptions["agreement"]
+    )
