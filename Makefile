@@ -27,7 +27,7 @@ test: setup
 	$(VENV)/python -m pytest -n logical --maxprocesses $(WORKERS) --dist worksteal --durations 15 $(ARGS)
 
 test-slow: setup
-	$(VENV)/python -m pytest -m slow --durations 15 $(ARGS)
+	$(VENV)/python -m pytest -m slow --timeout 7200 --durations 15 $(ARGS)
 
 demo: setup
 	$(VENV)/python pipelines/demo.py
