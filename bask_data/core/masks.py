@@ -34,6 +34,12 @@ MARGIN = 1 + EDGE_REACH
 N_CONFIRMING_RAYS = 40_000
 """Rays cast per frame in the search for what is fixed to the camera; every pixel would cost as much as the masks."""
 
+N_AMODAL_RAYS = 10_000
+"""Rays cast to find how much of an instance is hidden; more than that would make a share no more telling."""
+
+MIXED = np.uint16(1000)
+"""Stands for the label of a triangle whose corners differ."""
+
 STEADY = 0.35
 """Colour at a pixel that varies over the frames by less than this share of what the scene's pixels do is taken for
 fixed."""
@@ -71,6 +77,8 @@ class Surface:
         self._scene = _scene(vertices, triangles)
         self._corner_label = vertex_instance[triangles].astype(np.uint8)
         majority = _majority(self._corner_label)
+        uniform = (self._corner_label == self._corner_label[:, :1]).all(axis=1)
+        self._triangle_label = np.append(np.where(uniform, majority.astype(np.uint16), MIXED), np.uint16(0))
         self._outlines: list[Float[ndarray, "_ 3"]] = []
         self._alone: list[o3d.t.geometry.RaycastingScene | None] = []
         for label in range(1, n_instances + 1):
@@ -80,35 +88,30 @@ class Surface:
             self._outlines.append(_hull(vertices[np.unique(near)]))
             self._alone.append(_scene(vertices, own) if len(own) else None)
 
-    def cast(
-        self, origin: Float[ndarray, "3"], directions: Float32[ndarray, "n 3"]
-    ) -> tuple[Float32[ndarray, "n"], UInt8[ndarray, "n"]]:
-        """Ray parameter of the first hit (infinity: none), and the instance there.
+    def cast(self, rays: Float32[ndarray, "n 6"]) -> tuple[Float32[ndarray, "n"], UInt8[ndarray, "n"]]:
+        """Ray parameter of the first hit (infinity: none), and the instance there, of rays (origin, direction).
 
         A triangle that two instances share is divided between them: the hit takes the label of the nearest corner.
         """
-        hits = self._scene.cast_rays(_rays(origin, directions))
-        i_triangle = hits["primitive_ids"].numpy()
-        hit = i_triangle != o3d.t.geometry.RaycastingScene.INVALID_ID
-        i_triangle = np.where(hit, i_triangle, 0)
-        corners = self._corner_label[i_triangle]
-        label = corners[:, 0].copy()
-        mixed = np.flatnonzero((corners[:, 1] != label) | (corners[:, 2] != label))
+        hits = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
+        # What misses has the largest index there is; it becomes the one after the last triangle, which is background.
+        i_triangle = np.minimum(hits["primitive_ids"].numpy(), np.uint32(len(self._corner_label)))
+        label = self._triangle_label[i_triangle]
+        mixed = np.flatnonzero(label == MIXED)
+        corners = self._corner_label[i_triangle[mixed]]
         second_third = hits["primitive_uvs"].numpy()[mixed]
         weights = np.column_stack([1 - second_third.sum(axis=1), second_third])
-        label[mixed] = corners[mixed, weights.argmax(axis=1)]
-        label[~hit] = 0
-        return hits["t_hit"].numpy(), label
+        label[mixed] = corners[np.arange(len(mixed)), weights.argmax(axis=1)]
+        return hits["t_hit"].numpy(), label.astype(np.uint8)
 
-    def meets(
-        self, instance: int, origin: Float[ndarray, "3"], directions: Float32[ndarray, "n 3"]
-    ) -> Bool[ndarray, "n"]:
-        """Rays that would hit an instance if there were nothing else."""
+    def n_meeting(self, instance: int, rays: Float32[ndarray, "n 6"]) -> float:
+        """Number of rays that would hit an instance if there were nothing else; of very many, estimated by some."""
         alone = self._alone[instance - 1]
-        if alone is None or len(directions) == 0:
-            return np.zeros(len(directions), bool)
-        meeting: Bool[ndarray, "n"] = alone.test_occlusions(_rays(origin, directions)).numpy()
-        return meeting
+        step = max(1, -(-len(rays) // N_AMODAL_RAYS))
+        if alone is None or len(rays) == 0:
+            return 0.0
+        some = np.ascontiguousarray(rays[::step])
+        return float(alone.test_occlusions(o3d.core.Tensor.from_numpy(some)).numpy().mean() * len(rays))
 
     def box(
         self,
@@ -140,10 +143,15 @@ def _scene(vertices: Float32[ndarray, "n 3"], triangles: Int32[ndarray, "m 3"]) 
     return scene
 
 
-def _rays(origin: Float[ndarray, "3"], directions: Float32[ndarray, "n 3"]) -> o3d.core.Tensor:
-    rays = np.empty((len(directions), 6), np.float32)
-    rays[:, :3], rays[:, 3:] = origin, directions
-    return o3d.core.Tensor.from_numpy(rays)
+def world_rays(
+    directions_camera: Float32[ndarray, "h w 3"], world_from_camera: Float[ndarray, "4 4"]
+) -> Float32[ndarray, "h w 6"]:
+    """Origin and direction of the ray through each pixel, world frame."""
+    rays = np.empty((*directions_camera.shape[:2], 6), np.float32)
+    rays[..., :3] = world_from_camera[:3, 3]
+    # A matrix product with three columns takes NumPy ten times as long.
+    rays[..., 3:] = cv2.transform(directions_camera, world_from_camera[:3, :3].astype(np.float32))
+    return rays
 
 
 def _majority(corner_label: UInt8[ndarray, "m 3"]) -> UInt8[ndarray, "m"]:
@@ -211,13 +219,12 @@ def visible_instances(
     near_object = np.zeros((height, width), bool)
     for box in boxes:
         near_object[box] = True
-    where = np.flatnonzero(near_object)
-    rotation, origin = world_from_camera[:3, :3].astype(np.float32), world_from_camera[:3, 3]
-    directions = directions_camera.reshape(-1, 3)[where] @ rotation.T
     rendered = np.full((height, width), np.inf, np.float32)
     ray_label = np.zeros((height, width), np.uint8)
-    if len(where):
-        rendered.reshape(-1)[where], ray_label.reshape(-1)[where] = surface.cast(origin, directions)
+    rays = np.zeros((0, 0, 6), np.float32)
+    if near_object.any():
+        rays = world_rays(directions_camera, world_from_camera)
+        rendered[near_object], ray_label[near_object] = surface.cast(rays[near_object])
     label, n_pixels = decided(ray_label, rendered, depth, near_object, tolerance)
     if occluder is not None:
         n_pixels["fixed_to_camera"] = int(np.count_nonzero(label[occluder]))
@@ -226,9 +233,10 @@ def visible_instances(
     hit = np.bincount(ray_label.reshape(-1), minlength=surface.n_instances + 1)[1:]
     fraction = np.full(surface.n_instances, np.nan, np.float32)
     for i_instance, box in enumerate(boxes):
-        hidden = ray_label[box] != i_instance + 1
-        behind = directions_camera[box][hidden] @ rotation.T
-        amodal = hit[i_instance] + np.count_nonzero(surface.meets(i_instance + 1, origin, behind))
+        if box[0].start == box[0].stop or box[1].start == box[1].stop:
+            continue
+        others = rays[box][ray_label[box] != i_instance + 1]
+        amodal = hit[i_instance] + surface.n_meeting(i_instance + 1, others)
         if amodal > 0:
             fraction[i_instance] = min(1.0, visible[i_instance] / amodal)
     return VisibleFrame(label, fraction, n_pixels)
@@ -338,8 +346,7 @@ def confirmed(
     where = where[:: max(1, len(where) // N_CONFIRMING_RAYS)]
     seen = np.zeros(depth.shape, bool)
     if len(where):
-        rotation = world_from_camera[:3, :3].astype(np.float32)
-        rendered, _ = surface.cast(world_from_camera[:3, 3], directions_camera.reshape(-1, 3)[where] @ rotation.T)
+        rendered, _ = surface.cast(world_rays(directions_camera, world_from_camera).reshape(-1, 6)[where])
         here = depth.reshape(-1)[where]
         seen.reshape(-1)[where] = np.abs(rendered - here) <= tolerance[0] + tolerance[1] * here
     return seen

@@ -170,7 +170,8 @@ def test_a_thin_part_keeps_its_width() -> None:
 def test_triangles_between_two_instances_are_divided_at_their_middle() -> None:
     vertices = np.array([[-0.3, 0, 0], [0.3, -0.1, 0], [0.3, 0.1, 0]], np.float32)
     surface = Surface(vertices, np.array([[0, 1, 2]], np.int32), np.array([1, 2, 2], np.int32), 2)
-    _, label = surface.cast(np.array([0.0, 0, 1]), np.array([[-0.2, 0, -1], [0.2, 0, -1], [0, 0.3, -1]], np.float32))
+    rays = np.array([[0, 0, 1, x, y, -1] for x, y in ((-0.2, 0), (0.2, 0), (0, 0.3))], np.float32)
+    _, label = surface.cast(rays)
     assert label.tolist() == [1, 2, 0]
 
 
