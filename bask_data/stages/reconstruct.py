@@ -85,7 +85,10 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
     volume = tsdf.Volume(params.voxel_size, params.truncation, bounds, n_blocks)
     for camera, i_frame in progress(frames, "fusing frames"):
         measured = depth.cleaned(camera.depth(i_frame), params.near, params.far)
-        volume.integrate(measured, camera.rgb(i_frame), camera.K, camera.world_from_cameras[i_frame])
+        try:
+            volume.integrate(measured, camera.rgb(i_frame), camera.K, camera.world_from_cameras[i_frame])
+        except ValueError as error:
+            raise BadData(camera.path, f"frame {i_frame}: {error}", fix="ingest the scan again.") from error
     mesh = volume.mesh(params.min_views)
     if len(mesh.triangles) == 0:
         raise BadData(
