@@ -34,6 +34,8 @@ from bask_data.progress import progress
 
 TOLERANCE_PX = 5.0
 """A keypoint this close to its object counts as near: labels drawn by people are not better than that."""
+SHARED_IOU = 0.05
+"""Below this, an instance only touches a label; two labels it covers better than this were not told apart."""
 N_SAMPLED = 8
 """Frames looked at for figures that need no more than an impression."""
 
@@ -97,10 +99,10 @@ def summary(dataset: Dataset) -> dict[str, Any]:
             list(dataset.variants(DescriptorNet)),
             lambda variant: descriptor_figures(find(dataset, DescriptorNet, "", variant)),
         ),
-        "keypoints": {
-            variant: _each(demonstrations, lambda name: track_figures(dataset, name, variant))  # noqa: B023
-            for variant in dataset.variants(KeypointTrack)
-        },
+        "keypoints": _each(
+            list(dataset.variants(KeypointTrack)),
+            lambda variant: _each(demonstrations, lambda name: track_figures(dataset, name, variant)),
+        ),
     }
     return plain({name: value for name, value in result.items() if value not in ({}, None)})
 
@@ -278,12 +280,12 @@ def _visibility(fraction: np.ndarray, n_pixels: np.ndarray) -> list[dict[str, An
 
 def _label_matches(table: np.ndarray, truth: Truth) -> list[dict[str, Any]]:
     matches = scores.best_instances(table)
-    taken = [match.instance for match in matches]
+    taken = [match.instance for match in matches if match.iou >= SHARED_IOU]
     return [
         {
             **asdict(match),
             "name": truth.label_names.get(match.label, f"label {match.label}"),
-            "shared": match.instance > 0 and taken.count(match.instance) > 1,
+            "shared": match.iou >= SHARED_IOU and taken.count(match.instance) > 1,
         }
         for match in matches
     ]
@@ -454,7 +456,7 @@ def _known_keypoint(dataset: Dataset, pick: Pick | None, truth: Truth | None) ->
         labels = picked_in.instance(pick.camera, pick.frame)
     except IndexError:
         return KnownKeypoint(-1, unknown)
-    label = int(scores.label_at(labels, np.array([pick.u, pick.v])))
+    label = int(scores.label_at(labels, np.array([[pick.u, pick.v]]))[0])
     there = picked_in.metadata.world_from_object.get(label)
     here = truth.metadata.world_from_object.get(label) if truth else None
     if pick.point_world is None or there is None or here is None:

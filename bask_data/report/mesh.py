@@ -116,12 +116,14 @@ def up_direction(support_plane: np.ndarray | None, world_from_cameras: np.ndarra
 def orbit_views(
     vertices: np.ndarray, world_from_cameras: np.ndarray, up: np.ndarray, *, height: int, width: int
 ) -> list[Viewpoint]:
-    """Two views of the whole mesh from above, 90 degrees apart, on either side of where it was recorded from."""
-    low, high = np.percentile(vertices[:: max(len(vertices) // 50_000, 1)], [1, 99], axis=0)
+    """Two views from above, on either side of where the mesh was recorded from: with the cameras in it, and without."""
+    sample = vertices[:: max(len(vertices) // 20_000, 1)].astype(np.float64)
+    low, high = np.percentile(sample, [1, 99], axis=0)
     centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+    sample = sample[((sample >= low) & (sample <= high)).all(axis=1)]
     K = np.array([[1.5 * height, 0, (width - 1) / 2], [0, 1.5 * height, (height - 1) / 2], [0, 0, 1]])
-    eyes = world_from_cameras[:, :3, 3] - centre
-    towards = eyes.mean(axis=0)
+    eyes = world_from_cameras[:, :3, 3]
+    towards = eyes.mean(axis=0) - centre
     level = towards - (towards @ up) * up
     if np.linalg.norm(level) < 0.2 * radius:  # Recorded from right above, or from within.
         level = world_from_cameras[0, :3, 0] - (world_from_cameras[0, :3, 0] @ up) * up
@@ -129,25 +131,44 @@ def orbit_views(
         level = np.linalg.svd(up[None])[2][1]
     level = level / np.linalg.norm(level)
     side = np.cross(up, level)
-    # The cameras' way should be in the picture, but not make the mesh a dot.
-    fitted = float(np.clip(0.9 * np.linalg.norm(eyes, axis=1).max(), radius, 1.8 * radius))
+    # Cameras far away would make the mesh a dot.
+    near = eyes[np.linalg.norm(eyes - centre, axis=1) < 5 * radius]
     views = []
-    for azimuth in np.deg2rad([-45.0, 45.0]):
-        for_elevation = np.deg2rad(35.0)
-        heading = np.cos(for_elevation) * (np.cos(azimuth) * level + np.sin(azimuth) * side)
-        eye = centre + 2.9 * fitted * (heading + np.sin(for_elevation) * up)
-        views.append(Viewpoint(K, _look_at(eye, centre, up), height, width))
+    for azimuth_deg, points in ((-45.0, np.concatenate([sample, near])), (45.0, sample)):
+        azimuth, elevation = np.deg2rad([azimuth_deg, 35.0])
+        heading = np.cos(elevation) * (np.cos(azimuth) * level + np.sin(azimuth) * side) + np.sin(elevation) * up
+        rotation = _looking_along(-heading, up)
+        world_from_camera = np.eye(4)
+        world_from_camera[:3, :3] = rotation
+        world_from_camera[:3, 3] = rotation @ _eye_that_sees(
+            points @ rotation, width / 2 / K[0, 0], height / 2 / K[1, 1]
+        )
+        views.append(Viewpoint(K, world_from_camera, height, width))
     return views
 
 
-def _look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
-    forward = (target - eye) / np.linalg.norm(target - eye)
+def _eye_that_sees(points: np.ndarray, slope_x: float, slope_y: float) -> np.ndarray:
+    """The nearest eye from which all points lie within the slopes, in the frame of a camera that only moves.
+
+    A point p is right of no edge if p_x - e_x <= slope (p_z - e_z), which is linear in the eye e, and so for all sides.
+    """
+    margin = 0.92
+    eye = np.zeros(3)
+    farthest_back = []
+    for axis, slope in ((0, margin * slope_x), (1, margin * slope_y)):
+        high = (points[:, axis] - slope * points[:, 2]).max()
+        low = (-points[:, axis] - slope * points[:, 2]).max()
+        eye[axis] = (high - low) / 2
+        farthest_back.append(-(high + low) / (2 * slope))
+    eye[2] = min(farthest_back)
+    return eye
+
+
+def _looking_along(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """The rotation world_from_camera of a camera that looks along `forward`, `up` being up in its image."""
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
-    world_from_camera = np.eye(4)
-    world_from_camera[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    world_from_camera[:3, 3] = eye
-    return world_from_camera
+    return np.stack([right, np.cross(forward, right), forward], axis=1)
 
 
 def draw_path(

@@ -16,7 +16,7 @@ import numpy as np
 from bask_data.artifact import Artifact
 from bask_data.core.geometry import in_image, invert_rigid, project, scale_pixels, transform
 from bask_data.dataset import Dataset
-from bask_data.errors import BaskError
+from bask_data.errors import BadData, BaskError
 from bask_data.kinds import (
     Correspondences,
     Demonstration,
@@ -545,6 +545,7 @@ def _family(name: str) -> str:
         ("px", "error in pixels"),
         ("pixel", "error in pixels"),
         ("rate", "learning rate"),
+        ("accuracy", "shares"),
         ("share", "shares"),
         ("fraction", "shares"),
     ):
@@ -658,7 +659,9 @@ def _heat_part(
     from bask_data.core.heatmap import softmax_map
 
     track = find(chosen.dataset, KeypointTrack, name, variant)
-    alpha = float(track.manifest.params.get("alpha", 4.0)) if track else 4.0
+    # As the filter resolves it when it is not given.
+    given = track.manifest.params.get("alpha") if track else None
+    alpha = float(given or (20.0 if track and track.metadata.filter == "expectation" else 4.0))
     indices = _one_of_each_object(reference.picks)
     camera = demonstration.cameras[0]
     scored = TrackScores(chosen.dataset, name, variant) if track else None
@@ -710,7 +713,7 @@ def _one_of_each_object(picks: Sequence[Pick]) -> list[int]:
 
 def _crop(dataset: Dataset, pick: Pick) -> str:
     image = _frame_of(dataset, pick)
-    if image is None:
+    if image is None or not np.isfinite([pick.u, pick.v]).all():
         return ""
     half = max(12, image.shape[1] // 14)
     return draw.jpeg_uri(draw.crop_picture(image, np.array([pick.u, pick.v]), half, 200, WHITE))
@@ -726,8 +729,23 @@ def _truth_mark(scored: TrackScores | None, name: str, camera: Any, i_frame: int
 
 
 def _distance_maps(descriptor: DescriptorNet, references: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Gives descriptor distances (k, h, w) of an image to the references."""
-    raise NotImplementedError
+    """Gives descriptor distances (k, h, w) of an image to the references, at the network's own resolution."""
+    from bask_data.nn.network import load
+
+    try:
+        network = load(descriptor.path)
+    except Exception as error:  # Whatever a broken file makes safetensors, torch or JSON raise.
+        fix = "run `bask-data validate`."
+        raise BadData(descriptor.path, "", expected="a network that loads", got=str(error)[:200], fix=fix) from error
+    dimension = network.settings.descriptor_dim
+    if references.shape[1] != dimension:
+        raise BadData(
+            descriptor.path,
+            "descriptor_dim",
+            expected=f"{references.shape[1]} as the reference keypoints",
+            got=dimension,
+        )
+    return lambda rgb: network.distance_maps(rgb, references)
 
 
 # Tracks --------------------------------------------------------------------------------------------------------------

@@ -63,13 +63,15 @@ def make_views(angle: float, n_frames: int) -> Views:
     return Views(K, cameras, world_from_boxes, views)
 
 
-def filled_dataset(root: Path, names: list[str] | None = None, label_name: str = "tissue box") -> Dataset:
+def filled_dataset(
+    root: Path, *, names: tuple[str, str] = ("corner", "side"), label_name: str = "tissue box", title: str = "filled"
+) -> Dataset:
     """A scan, a demonstration with the boxes elsewhere, and everything between but a descriptor network.
 
     Args:
         names: of the two keypoints, one on each box.
     """
-    dataset = Dataset.create(root, "filled", "CC0-1.0")
+    dataset = Dataset.create(root, title, "CC0-1.0")
     scan, demonstration = make_views(0.3, 6), make_views(0.8, 5)
     for item, seen, kind in (("scan-a", scan, Scan), ("demo-a", demonstration, Demonstration)):
         publish_recording(
@@ -83,7 +85,7 @@ def filled_dataset(root: Path, names: list[str] | None = None, label_name: str =
         )
         publish_truth(dataset, item, seen, label_name)
     publish_scene(dataset, "scan-a", scan)
-    publish_keypoints(dataset, scan, demonstration, names or ["corner", "side"])
+    publish_keypoints(dataset, scan, demonstration, list(names))
     return dataset
 
 
@@ -249,17 +251,17 @@ def _write_track(out: Path, seen: Views, names: list[str], places: np.ndarray) -
             )
 
 
-def publish_curve(dataset: Dataset, name: str = "loss", validated_on: str = "held-out frames of scan-a") -> None:
-    """A descriptor that can be described, not run."""
-    curve = [(step, name, 1.0 / (step + 1)) for step in range(100)]
-    curve += [(step, "validation/pck_8px", step / 100) for step in range(0, 100, 20)]
-    publish_artifact(
-        dataset,
-        DescriptorNet,
-        "",
-        lambda out: (
-            DescriptorNet.write(out, validated_on=validated_on, metrics={"pck_8px": 0.8}, curve=curve)
-            or (out / "model.json").write_text('{"backbone": "resnet18", "descriptor_dim": 8}')
-            or (out / "weights.safetensors").write_bytes(b"")
-        ),
-    )
+def publish_network(dataset: Dataset, loss_name: str = "loss", validated_on: str = "held-out frames of scan-a") -> None:
+    """A small descriptor network nobody trained, whose curve is made up."""
+    import torch
+
+    from bask_data.nn.network import DescriptorNetwork, NetworkSettings
+
+    def fill(out: Path) -> None:
+        curve = [(step, loss_name, 1.0 / (step + 1)) for step in range(100)]
+        curve += [(step, "validation_pck_5", step / 100) for step in range(0, 100, 20)]
+        DescriptorNet.write(out, validated_on=validated_on, metrics={"validation_pck_5": 0.8}, curve=curve)
+        torch.manual_seed(0)
+        DescriptorNetwork(NetworkSettings(depth=18, descriptor_dim=8, height=32)).save(out)
+
+    publish_artifact(dataset, DescriptorNet, "", fill)
