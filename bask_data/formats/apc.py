@@ -6,6 +6,7 @@ three bits, in tenths of a millimetre. Labels are truth: `segm/frame-*.segm.png`
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,11 +22,12 @@ from bask_data.formats.agreement import agreement
 from bask_data.formats.camera import ImageFiles, camera_recording, parse_intrinsics, parse_pose, read_poses
 from bask_data.formats.files import frame_number, matching, member, numbers, paired, read_bytes, source_folder
 from bask_data.formats.options import ApcOptions
-from bask_data.formats.recording import Recording
+from bask_data.formats.recording import ObjectPose, Recording
 
 DEPTH_SCALE = 1e-4
 INFO_FILE = "cam.info.txt"
 INTRINSICS_FILE = "camera-intrinsics.color.txt"
+POSES_FILE = "object_poses.json"
 OBJECT_NAMES = {48: "chenille stems", 114: "bunny book", 132: "tissue box", 144: "joke book"}
 """Labels are six times the object's place in the challenge's alphabetical list; these four were looked at."""
 
@@ -51,6 +53,7 @@ def read(source: Path, options: ApcOptions) -> Recording:
         tuple(groups[kind][name] for name in names if kind in groups) for kind in ("color", "depth", "labels")
     )
     images = ImageFiles(color, depth, label, rotated_depth=True)
+    poses, pose_files = _object_poses(source, rig, options.world)
     time = np.array([frame_number(name) for name in names], dtype=np.float64) / options.fps
     camera = camera_recording(options.camera, images, rig.K, "", DEPTH_SCALE, world_from_cameras, time)
     return Recording(
@@ -66,7 +69,8 @@ def read(source: Path, options: ApcOptions) -> Recording:
             "labels": f"{labels}, taken as truth for reports only" if labels else "none found",
             "agreement": agreement(camera, {}),
         },
-        files=(*color, *depth, *label, *rig.files),
+        files=(*color, *depth, *label, *rig.files, *pose_files),
+        object_poses=poses,
     )
 
 
@@ -125,6 +129,37 @@ def _titled(path: Path, matrices: dict[str, list[float]], words: str) -> list[fl
     if len(found) != 1:
         raise BadData(path, words, expected="one matrix under a comment with these words", got=f"{len(found)}")
     return found[0]
+
+
+def _object_poses(source: Path, rig: _Rig, world: str) -> tuple[dict[int, ObjectPose], tuple[Path, ...]]:
+    """Where objects stand, if a file beside the frames says so: `{"world": "bin", "objects": {"132": {...}}}`."""
+    if not (source / POSES_FILE).exists():
+        return {}, ()
+    path = member(source, POSES_FILE, "object poses")
+    try:
+        document = json.loads(read_bytes(path, 2**20))
+        stated, objects = document["world"], document["objects"]
+        poses = {
+            int(label): ObjectPose(
+                parse_pose(f"{path}: {label}", [float(x) for row in entry["world_from_object"] for x in row]),
+                float(entry["error"]),
+            )
+            for label, entry in objects.items()
+        }
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise BadData(
+            path, "", expected="world and objects with world_from_object and error", got=repr(error)
+        ) from error
+    chosen = "robot" if rig.robot_from_bin is None or world == "robot" else "bin"
+    if stated == chosen:
+        return poses, (path,)
+    if stated not in ("bin", "robot") or rig.robot_from_bin is None:
+        raise BadData(path, "world", expected=f"{chosen}, the recording's world frame", got=str(stated))
+    chosen_from_stated = rig.robot_from_bin if chosen == "robot" else invert_rigid(rig.robot_from_bin)
+    moved = {
+        label: ObjectPose(chosen_from_stated @ pose.world_from_object, pose.error) for label, pose in poses.items()
+    }
+    return moved, (path,)
 
 
 def _in_world(source: Path, rig: _Rig, world: str) -> tuple[Float[ndarray, "t 4 4"], str]:

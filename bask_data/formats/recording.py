@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from jaxtyping import Float, UInt8, UInt16
@@ -44,6 +44,18 @@ class RobotRecording:
 
 
 @dataclass(frozen=True)
+class ObjectPose:
+    """Where a static object stands: truth, for reports only.
+
+    Args:
+        error: metres the transform may be wrong by, as whoever made it says.
+    """
+
+    world_from_object: Float[ndarray, "4 4"]
+    error: float
+
+
+@dataclass(frozen=True)
 class Recording:
     """A scan or a demonstration as read.
 
@@ -56,3 +68,4 @@ class Recording:
     label_names: dict[int, str]
     assumptions: dict[str, str]
     files: tuple[Path, ...]
+    object_poses: dict[int, ObjectPose] = field(default_factory=dict)

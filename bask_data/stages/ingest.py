@@ -213,4 +213,10 @@ def _write_truth(out: Path, read: recording.Recording) -> None:
         for camera in read.cameras
         if camera.labels is not None
     }
-    Truth.write(out, read.label_names, cameras)
+    Truth.write(
+        out,
+        read.label_names,
+        cameras,
+        {label: pose.world_from_object.tolist() for label, pose in read.object_poses.items()},
+        {label: pose.error for label, pose in read.object_poses.items()},
+    )

@@ -186,3 +186,28 @@ def test_the_truth_between_the_shipped_recordings_is_rigid_and_takes_box_to_box(
             total += len(points)
         # The stems' labels are up to 20 pixels off, and their far end is cut off in the demonstration's.
         assert hits / total > (0.9 if item["label"] == 132 else 0.5)
+
+
+def test_object_poses_come_in_the_chosen_world() -> None:
+    in_bin, in_robot = (read(SCAN, world=world) for world in ("bin", "robot"))
+    cameras = [recording.cameras[0].world_from_cameras[0] for recording in (in_bin, in_robot)]
+    objects = [recording.object_poses[132].world_from_object for recording in (in_bin, in_robot)]
+    assert in_bin.object_poses[132].error == 0.008
+    # The same object seen from the same camera, whatever the world is called.
+    np.testing.assert_allclose(*[invert_rigid(c) @ o for c, o in zip(cameras, objects, strict=True)], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        ({"world": "bin"}, "expected world and objects"),
+        ([], "expected world and objects"),
+        ({"world": "moon", "objects": {}}, "world: expected bin, the recording's world frame, got moon"),
+        ({"world": "bin", "objects": {"132": {"error": 1, "world_from_object": [[1, 2]]}}}, "132"),
+    ],
+)
+def test_object_poses_that_say_nothing_are_refused(tmp_path: Path, document: object, message: str) -> None:
+    folder = Path(shutil.copytree(SCAN, tmp_path / "shelf"))
+    (folder / "object_poses.json").write_text(json.dumps(document))
+    with pytest.raises(BadData, match=message):
+        read(folder)
