@@ -339,14 +339,14 @@ def main() -> None:
     )
     (HERE / "shelf_truth.json").write_text(text + "\n")
     print(text)
-    # What `ingest apc` reads beside the frames. The stems show the two recordings different sides: no point of theirs has
-    # a true place in both, so they have no pose here.
+    # What `ingest apc` reads beside the frames. The two recordings show different sides of the stems: no
+    # point of theirs has a true place in both, so they have no pose here.
     box = truth["objects"][0]
     for scene, world in ((scan, "bin"), (demo, "robot")):
         matrix = ",\n    ".join(str(row) for row in box["world_from_front"][scene.name])
         (HERE / scene.name / "object_poses.json").write_text(
-            f'{{"world": "{world}", "objects": {{"{BOX}": {{"error": {box["accuracy_mm"] / 1000}, "world_from_object": [\n'
-            f"    {matrix}]}}}}}}\n"
+            f'{{"world": "{world}", "objects": {{"{BOX}": '
+            f'{{"error": {box["accuracy_mm"] / 1000}, "world_from_object": [\n    {matrix}]}}}}}}\n'
         )
     if arguments.pictures:
         arguments.pictures.mkdir(parents=True, exist_ok=True)

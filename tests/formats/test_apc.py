@@ -78,7 +78,7 @@ def test_the_shipped_recordings_are_read_whole(source: Path, names: dict[int, st
         red, green, blue = rgb[labels == 132].mean(axis=0)
         assert red < min(green, blue)
         assert 0.3 < np.median(depth[depth > 0]) * camera.depth_scale < 0.8
-    assert len(recording.files) == (46 if source == SCAN else 61)
+    assert len(recording.files) == (47 if source == SCAN else 62)
 
 
 def test_the_world_is_the_bin_where_the_files_state_it_and_else_the_robot() -> None:
