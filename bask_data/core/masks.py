@@ -209,7 +209,7 @@ def visible_instances(
     ray; all others are background.
 
     Args:
-        depth: measured z-depth, metres, flying pixels removed; 0 means no measurement.
+        depth: measured z-depth, metres, gaps inside surfaces closed; 0 means no measurement.
         directions_camera: `ray_directions` of the camera.
         tolerance: (a, b): measurement and mesh agree within a + b z metres.
         occluder: pixels that show something fixed to the camera (`fixed_to_camera`).
@@ -375,14 +375,13 @@ def fixed_to_camera(
     nothing = np.zeros((height, width), bool)
     if n_frames < 3 or not n_confirmed.any():
         return nothing
-    window = (9, 9)
     change = cv2.blur(np.sqrt(np.maximum(total_squared / n_frames - (total / n_frames) ** 2, 0)), (5, 5))
     scene_change = float(np.median(change[n_confirmed > 0]))
     if scene_change < LEAST_CHANGE:
         return nothing
     # Two frames' worth of a stray measurement in the window is no confirmation; a scene's pixel has dozens.
-    confirmations = cv2.boxFilter(n_confirmed, -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    confirmations = cv2.boxFilter(n_confirmed, -1, (5, 5), normalize=False, borderType=cv2.BORDER_CONSTANT)
     steady = ((change < STEADY * scene_change) & (confirmations <= 2)).astype(np.uint8)
-    steady = cv2.morphologyEx(steady, cv2.MORPH_OPEN, np.ones(window, np.uint8))
-    # The window that compares colours blurs the outline by two pixels, and the opening rounds its corners.
+    steady = cv2.morphologyEx(steady, cv2.MORPH_OPEN, np.ones((9, 9), np.uint8))
+    # Both windows reach two pixels over the outline, and the opening rounds its corners.
     return cv2.dilate(steady, np.ones((7, 7), np.uint8)) > 0

@@ -69,8 +69,9 @@ def masks(scan: Scan, reconstruction: Reconstruction, objects: ObjectInstances, 
                 )
             stream = writer.camera(camera.name, camera.n_frames, camera.height, camera.width)
             for i_frame in progress(range(camera.n_frames), f"masks of {camera.name}"):
-                # Nothing is too near here: a gripper just before the lens is what the measurement is asked for.
-                measured = depth.cleaned(camera.depth(i_frame), 0.0, params.far)
+                # Nothing is too near here, a gripper just before the lens is what the measurement is asked for; and a
+                # flying pixel at a hand's edge still tells that the object is not seen there.
+                measured = depth.filled(depth.in_range(camera.depth(i_frame), 0.0, params.far))
                 frame = core.visible_instances(
                     surface, measured, directions, camera.K, camera.world_from_cameras[i_frame], tolerance, fixed
                 )
@@ -89,7 +90,7 @@ def _surveyed(
     from bask_data.core import masks as core
 
     for i_frame in np.unique(np.linspace(0, camera.n_frames - 1, N_SURVEYED).round().astype(int)):
-        measured = depth.cleaned(camera.depth(i_frame), 0.0, params.far)
+        measured = depth.filled(depth.in_range(camera.depth(i_frame), 0.0, params.far))
         seen = core.confirmed(
             surface,
             measured,
