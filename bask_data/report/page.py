@@ -15,13 +15,25 @@ from bask_data.errors import BaskError
 from bask_data.report import sections
 
 TEMPLATE = "page.html.j2"
+MOST_BYTES = 8_000_000
+"""A larger page cannot be sent around."""
+N_FRAMES = (8, 4, 2)
+"""Frames of each camera: what is tried, in this order, to stay below `MOST_BYTES`."""
 NBSP = "\u00a0"
 """A number and its unit stay on one line."""
 
 
 def render(dataset: Dataset) -> str:
-    """The page as text."""
-    chosen = sections.choose(dataset)
+    """The page as text, with as many frames of each camera as fit into `MOST_BYTES`."""
+    for n_frames in N_FRAMES:
+        html = _rendered(dataset, n_frames)
+        if len(html) <= MOST_BYTES:
+            break
+    return html
+
+
+def _rendered(dataset: Dataset, n_frames: int) -> str:
+    chosen = sections.choose(dataset, n_frames)
     built = [_built(name, title, make, chosen) for name, title, make in SECTIONS]
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),

@@ -38,7 +38,7 @@ from bask_data.report.figures import TrackScores, find, find_recording, find_tru
 N_ITEMS = 3
 """Scenes, demonstrations and variants shown; more would make a page nobody loads."""
 N_ROWS = 32
-N_FRAMES = 8
+N_CAMERAS = 3
 N_MATCHES = 30
 N_HEATED = 5
 N_HEAT_FRAMES = 4
@@ -58,6 +58,8 @@ class Chosen:
     scenes: list[str]
     demonstrations: list[str]
     variants: list[str]
+    n_frames: int
+    """Frames shown of each camera."""
 
     @cached_property
     def tracks(self) -> list[tuple[str, str, TrackScores]]:
@@ -83,12 +85,16 @@ class Chosen:
         return found
 
 
-def choose(dataset: Dataset) -> Chosen:
+def choose(dataset: Dataset, n_frames: int) -> Chosen:
     """The first items of each sort."""
     kinds = (DescriptorNet, ReferenceKeypoints, KeypointTrack)
     variants = list(dict.fromkeys(name for kind in kinds for name in dataset.variants(kind)))
     return Chosen(
-        dataset, dataset.items("scene")[:N_ITEMS], dataset.items("demonstration")[:N_ITEMS], variants[:N_ITEMS]
+        dataset=dataset,
+        scenes=dataset.items("scene")[:N_ITEMS],
+        demonstrations=dataset.items("demonstration")[:N_ITEMS],
+        variants=variants[:N_ITEMS],
+        n_frames=n_frames,
     )
 
 
@@ -243,18 +249,19 @@ def frames(chosen: Chosen) -> list[Part]:
         return {
             "title": f"{name} ({sort})",
             "cameras": [
-                {"name": camera.name, **cameras[camera.name], **_contact_sheet(camera, cameras[camera.name])}
-                for camera in recording.cameras
+                {"name": camera.name, **cameras[camera.name], **_contact_sheet(camera, cameras[camera.name], chosen)}
+                for camera in recording.cameras[:N_CAMERAS]
             ],
+            "n_cameras_left_out": max(len(cameras) - N_CAMERAS, 0),
         }
 
     return per_item([*chosen.scenes, *chosen.demonstrations], part)
 
 
-def _contact_sheet(camera: Any, found: dict[str, Any]) -> Part:
+def _contact_sheet(camera: Any, found: dict[str, Any], chosen: Chosen) -> Part:
     near, far = found["depth_range_m"]
     tiles = []
-    for i_frame in spread_frames(camera.n_frames, N_FRAMES):
+    for i_frame in spread_frames(camera.n_frames, chosen.n_frames):
         depth = draw.depth_picture(_shrunk_depth(camera.depth(i_frame)), near, far)
         tiles.append(
             {
@@ -343,7 +350,7 @@ def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: Obje
     up = up_direction(plane.support_plane if plane else None, path)
     scene = MeshScene(mesh.vertices, mesh.triangles)
     colours = mesh.colors if objects is None else _instance_colours(objects, mesh.colors)
-    sharp, ambient = objects is not None, 0.5 if objects is None else 0.35
+    sharp, ambient = objects is not None, 0.65 if objects is None else 0.35
     tiles = []
     if cameras:
         camera, i_frame = cameras[0], cameras[0].n_frames // 2
@@ -396,14 +403,15 @@ def masks(chosen: Chosen) -> list[Part]:
         names = {row.id: row.name for row in objects.instances} if objects else {}
         tiles = [
             tile
-            for camera in (scan.camera_names if scan else [])
+            for camera in (scan.camera_names[:N_CAMERAS] if scan else [])
             if camera in found.camera_names
-            for tile in _mask_tiles(scan, found, truth, camera)
+            for tile in _mask_tiles(scan, found, truth, camera, chosen.n_frames)
         ]
         return {
             "title": name,
             "numbers": numbers,
             "tiles": tiles,
+            "n_cameras_left_out": max(len(found.camera_names) - N_CAMERAS, 0),
             "rows": [
                 {**row, "colour": colours[row["id"] - 1], "name": names.get(row["id"], "")}
                 for row in numbers["instances"][:N_ROWS]
@@ -417,11 +425,11 @@ def masks(chosen: Chosen) -> list[Part]:
     return per_item(chosen.scenes, part)
 
 
-def _mask_tiles(scan: Any, masks: VisibleMasks, truth: Truth | None, camera: str) -> list[Part]:
+def _mask_tiles(scan: Any, masks: VisibleMasks, truth: Truth | None, camera: str, n_frames: int) -> list[Part]:
     frames, instances = scan.camera(camera), masks.camera(camera)
     labelled = truth is not None and camera in truth.camera_names
     tiles = []
-    for i_frame in spread_frames(min(frames.n_frames, instances.n_frames), N_FRAMES):
+    for i_frame in spread_frames(min(frames.n_frames, instances.n_frames), n_frames):
         labels = truth.instance(camera, i_frame) if labelled and truth is not None else None
         picture = draw.mask_picture(frames.rgb(i_frame), instances.instance(i_frame), labels, PICTURE)
         tiles.append({"uri": draw.jpeg_uri(picture), "text": f"{camera}, frame {i_frame}"})
@@ -598,7 +606,7 @@ def reference(chosen: Chosen) -> list[Part]:
             image = _frame_of(chosen.dataset, found.picks[indices[0]])
             if image is None:
                 unseen.append(f"{recording}, {camera}, frame {i_frame}")
-            elif len(tiles) < 2 * N_FRAMES:
+            elif len(tiles) < 2 * chosen.n_frames:
                 marks = [_pick_mark(found.picks[i], i, colours[i]) for i in indices]
                 uri = draw.jpeg_uri(draw.marks_picture(image, marks, 640 if len(by_frame) < 3 else PICTURE))
                 tiles.append({"uri": uri, "text": f"{recording}, {camera}, frame {i_frame}"})
@@ -762,7 +770,10 @@ def tracks(chosen: Chosen) -> list[Part]:
         return {
             "title": name + (f" ({variant})" if len(chosen.variants) > 1 else ""),
             "numbers": numbers,
-            "strips": _strips(scored, colours, N_FRAMES if variant == chosen.variants[0] else N_FRAMES // 2),
+            "strips": _strips(
+                scored, colours, chosen.n_frames if variant == chosen.variants[0] else chosen.n_frames // 2
+            ),
+            "n_cameras_left_out": max(len(scored.track.camera_names) - N_CAMERAS, 0),
             "plots": _track_plots(scored, colours),
             "rows": [
                 {"number": i + 1, "colour": draw.css(colours[i]), **row}
@@ -788,7 +799,7 @@ def _strips(scored: TrackScores, colours: list[draw.Colour], n_frames: int) -> l
     if recording is None:
         return []
     strips = []
-    for name in scored.track.camera_names:
+    for name in scored.track.camera_names[:N_CAMERAS]:
         if name not in recording.camera_names:
             continue
         camera = recording.camera(name)

@@ -165,6 +165,15 @@ def test_many_scenes_show_the_first_few_and_say_how_many_are_left_out(tmp_path):
     assert set(summarise(dataset)["recordings"]) == {f"scene-{i}" for i in range(5)}
 
 
+def test_a_page_that_grows_too_large_shows_fewer_frames(full, full_html, tmp_path, monkeypatch):
+    monkeypatch.setattr("bask_data.report.page.MOST_BYTES", len(full_html) - 1)
+    smaller = write_report(full, tmp_path / "r.html").read_text(encoding="utf-8")
+    assert Page(smaller).sections == SECTIONS
+    assert len(smaller) < len(full_html)
+    assert smaller.count('alt="colour of frame') == 8
+    assert full_html.count('alt="colour of frame') == 11
+
+
 def test_hostile_names_stay_text(tmp_path):
     tag, breakout = "<script>alert(1)</script>", "\"><img src=x onerror='alert(1)'>"
     dataset = filled_dataset(tmp_path / "d", names=(tag, breakout), label_name=breakout, title=tag + "{{ 7 * 7 }}")
