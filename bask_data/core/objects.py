@@ -21,10 +21,10 @@ RIVAL_SHARE = 0.5
 """A second plane this large beside the support is worth a word: the choice between them was close."""
 NOISE_SIGMAS = 4.0
 """Surface further above the plane than this is no noise of the plane."""
-FOOT_FACING = np.cos(np.deg2rad(75.0))
-"""Surface steeper than this against the support is the side of an object, however low it is. Not less: fusion rounds
-the corner between the two, and on analytic scenes masks gained at the foot until 75 degrees (wrong pixels 2.6 % at 40,
-1.6 % at 60, 1.0 % at 75)."""
+FOOT_FACING = np.cos(np.deg2rad(60.0))
+"""Surface steeper than this against the support is the side of an object, however low it is. Fusion rounds the corner
+between the two; on analytic scenes masks were best at 60 degrees (mean and worst IoU 0.986 and 0.970 at 40, 0.987 and
+0.977 at 60, 0.981 and 0.955 at 75)."""
 
 
 @dataclass(frozen=True)

@@ -124,5 +124,7 @@ class CameraMasksWriter:
         import numpy as np
 
         self._instance.close()
-        table = np.asarray(self._visible_fraction, dtype=np.float32).reshape(-1, self._n_instances)
+        table = np.asarray(self._visible_fraction, dtype=np.float32).reshape(
+            len(self._visible_fraction), self._n_instances
+        )
         write_array(self._group, VisibleMasks, f"{self._name}/visible_fraction", table)

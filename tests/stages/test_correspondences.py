@@ -1,0 +1,188 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+
+from bask_data.core.geometry import invert_rigid, project, transform, unproject
+from bask_data.dataset import Dataset
+from bask_data.kinds import Correspondences, InstanceRow, ObjectInstances, Reconstruction, VisibleMasks
+from bask_data.stage import make, plan
+from bask_data.stages.correspondences import correspondences
+from tests import meshes, scenes
+from tests.datasets import publish_artifact, publish_recording
+
+GOLDEN = Path(__file__).parent / "golden"
+HEIGHT, WIDTH = 96, 128
+K = scenes.intrinsics(HEIGHT, WIDTH)
+BLOCKS = [(-0.12, -0.1, (0.10, 0.06, 0.08)), (0.0, 0.05, (0.07, 0.07, 0.05))]
+
+
+def body(x, y, size):
+    world_from_box = np.eye(4)
+    world_from_box[:3, 3] = [x + size[0] / 2, y + size[1] / 2, size[2] / 2]
+    return scenes.Box(tuple(np.asarray(size) / 2), world_from_box)
+
+
+SCENE = scenes.Scene(tuple(body(*one) for one in BLOCKS))
+
+
+def dataset_of(root, cameras, blocks=BLOCKS, masked=None):
+    """A scan of the scene with its exact reconstruction, objects and masks, as if the earlier stages had made them."""
+    dataset = Dataset.create(root)
+    images = [SCENE.render(K, camera, HEIGHT, WIDTH) for camera in cameras]
+    vertices, triangles, truth = meshes.table(blocks, step=0.01)
+    publish_recording(
+        dataset,
+        "a",
+        rgb=[image.rgb for image in images],
+        depth=[np.minimum(image.depth, 6.0) for image in images],
+        K=K,
+        world_from_cameras=cameras,
+    )
+    publish_artifact(
+        dataset,
+        Reconstruction,
+        "a",
+        lambda out: Reconstruction.write(
+            out,
+            vertices=vertices,
+            triangles=triangles,
+            colors=np.zeros(vertices.shape, np.uint8),
+            voxel_size=0.004,
+            bounds=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0),
+            quality={},
+        ),
+    )
+    rows = [
+        InstanceRow(id=i + 1, n_vertices=1, area_m2=0.01, centroid=(0, 0, 0), extents=(1, 1, 1))
+        for i in range(len(blocks))
+    ]
+    publish_artifact(
+        dataset,
+        ObjectInstances,
+        "a",
+        lambda out: ObjectInstances.write(
+            out,
+            vertex_instance=truth.astype(np.int32),
+            support_plane=np.array([0.0, 0, 1, 0]),
+            instances=rows,
+            warnings=[],
+        ),
+    )
+
+    def write_masks(out):
+        with VisibleMasks.writer(out, len(blocks)) as writer:
+            n_frames = len(images) if masked is None else masked
+            camera = writer.camera("wrist", n_frames, HEIGHT, WIDTH)
+            for image in images[:n_frames]:
+                shown = np.bincount(image.instance.ravel(), minlength=3)[1 : len(blocks) + 1] > 0
+                label = np.where(image.instance <= len(blocks), image.instance, 0).astype(np.uint8)
+                camera.append(label, np.where(shown, 1.0, np.nan).astype(np.float32))
+
+    publish_artifact(dataset, VisibleMasks, "a", write_masks)
+    return dataset
+
+
+def run(dataset, **options):
+    [task] = plan(dataset, correspondences, options={"n_pairs": 20, "n_matches": 100, "n_attempts": 600, **options})
+    return make(task, force=True)
+
+
+def made(dataset, **options):
+    outcome = run(dataset, **options)
+    assert outcome.status == "made", outcome.why
+    return Correspondences(dataset.path(Correspondences, "a"))
+
+
+@pytest.fixture(scope="module")
+def cameras():
+    return scenes.orbit(10, radius=0.5)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory, cameras):
+    return dataset_of(tmp_path_factory.mktemp("scan") / "d", cameras)
+
+
+@pytest.mark.parametrize("use_surface", [True, False])
+def test_matches_are_where_the_surface_is(dataset, cameras, use_surface):
+    result = made(dataset, use_surface=use_surface)
+    pairs, matches = result.pairs().to_pylist(), result.matches()
+    assert len(pairs) == 20
+    assert len(matches) > 1000
+    for i_pair, row in enumerate(pairs):
+        mine = matches.filter(pc.field("pair") == i_pair)
+        assert len(mine) == row["n_matches"]
+        uv_a, found = (np.stack([mine[f"{axis}_{one}"].to_numpy() for axis in "uv"], axis=1) for one in "ab")
+        uv_a = uv_a.astype(float)
+        camera_a, camera_b = cameras[row["frame_a"]], cameras[row["frame_b"]]
+        directions = unproject(uv_a, np.ones(len(uv_a)), K) @ camera_a[:3, :3].T
+        hits = np.stack([one.cast(camera_a[:3, 3], directions) for one in SCENE.background + SCENE.objects])
+        points_world = transform(camera_a, unproject(uv_a, hits.min(axis=0), K))
+        uv_b, _ = project(transform(invert_rigid(camera_b), points_world), K)
+        np.testing.assert_allclose(found, uv_b, atol=0.1)
+        np.testing.assert_array_equal(mine["instance"].to_numpy(), hits.argmin(axis=0))
+
+
+def test_every_attempt_is_accounted_for(dataset):
+    result = made(dataset)
+    n_attempts = sum(row["n_attempts"] for row in result.pairs().to_pylist())
+    assert result.metadata.n_matches + sum(result.metadata.rejections.values()) == n_attempts
+    assert result.metadata.warnings == []
+
+
+def test_a_row_group_holds_whole_pairs(dataset):
+    file = pq.ParquetFile(made(dataset).path / "matches.parquet")
+    groups = [set(file.read_row_group(i)["pair"].to_pylist()) for i in range(file.num_row_groups)]
+    assert all(len(group) == 1 for group in groups)
+    assert len(set().union(*groups)) == len(groups)
+
+
+def test_same_seed_same_bytes_and_another_seed_others(dataset):
+    assert run(dataset).digest == run(dataset).digest
+    assert run(dataset).digest != run(dataset, seed=1).digest
+
+
+def test_version_1_gives_the_golden_result(dataset):
+    golden = np.load(GOLDEN / "correspondences_v1.npz")
+    assert correspondences.version == 1, "save a golden file for the new version"
+    matches = made(dataset, n_pairs=6, n_matches=30).matches()
+    for name in ("pair", "instance", "u_a", "v_a"):
+        np.testing.assert_array_equal(matches[name].to_numpy(), golden[name])
+    for name in ("u_b", "v_b"):
+        np.testing.assert_allclose(matches[name].to_numpy(), golden[name], atol=1e-4)
+
+
+def test_too_few_pairs_are_told_with_the_reason(tmp_path, cameras):
+    still = np.concatenate([cameras[:1].repeat(3, axis=0), cameras[5:6]])
+    result = made(dataset_of(tmp_path / "d", still))
+    assert result.metadata.n_pairs == 3
+    assert result.metadata.warnings == [
+        "only 3 of 20 pairs of frames: of 6 looked at, 3 differ by less than 0.2 m and 20.0 degrees, and 0 share less "
+        "than 0.15 of the objects' surface"
+    ]
+
+
+def test_a_scene_without_objects_has_no_pairs_and_says_so(tmp_path, cameras):
+    result = made(dataset_of(tmp_path / "d", cameras[:4], blocks=[]))
+    assert (result.metadata.n_pairs, result.matches().num_rows) == (0, 0)
+    assert result.metadata.warnings[0].startswith("only 0 of 20 pairs of frames: of 6 looked at")
+
+
+def test_masks_of_another_scan_are_refused(tmp_path, cameras):
+    outcome = run(dataset_of(tmp_path / "d", cameras[:4], masked=3))
+    assert outcome.status == "failed"
+    assert "wrist: expected masks of the 4 frames of the scan, got 3.  fix: run the stage `masks` again." in outcome.why
+
+
+if __name__ == "__main__":  # Run as a module when the version was raised: python -m tests.stages.test_correspondences
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        fresh = made(dataset_of(Path(folder) / "d", scenes.orbit(10, radius=0.5)), n_pairs=6, n_matches=30).matches()
+        arrays = {name: fresh[name].to_numpy() for name in fresh.column_names}
+        np.savez_compressed(GOLDEN / f"correspondences_v{correspondences.version}.npz", **arrays)
