@@ -23,8 +23,9 @@ help:
 setup:
 	@.ci/setup
 
+# A file stays with one worker: what its tests share, a rendered scene or a filled dataset, is then made once.
 test: setup
-	$(VENV)/python -m pytest -n logical --maxprocesses $(WORKERS) --dist worksteal --durations 15 $(ARGS)
+	$(VENV)/python -m pytest -n logical --maxprocesses $(WORKERS) --dist loadfile --durations 15 $(ARGS)
 
 test-slow: setup
 	$(VENV)/python -m pytest -m slow --timeout 7200 --durations 15 $(ARGS)
