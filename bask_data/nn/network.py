@@ -1,0 +1,171 @@
+"""Descriptor networks: images in, a descriptor for every pixel out; and descriptors in, distance maps out."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from bask_data.core.geometry import scale_intrinsics, scale_pixels
+from bask_data.nn.resnet import STRIDE, DenseResNet, sampled, upsampled
+
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+
+
+@dataclass(frozen=True)
+class NetworkSettings:
+    """What a network is, beside its weights.
+
+    Args:
+        depth: layers of the ResNet.
+        height: pixels that images are resized to; the width follows from the image.
+        mean, std: of the colour channels in [0, 1], taken away and divided by.
+    """
+
+    depth: int
+    descriptor_dim: int
+    height: int
+    mean: tuple[float, float, float] = IMAGENET_MEAN
+    std: tuple[float, float, float] = IMAGENET_STD
+
+
+class DescriptorNetwork(torch.nn.Module):
+    """A Dense Object Net with everything needed to describe images."""
+
+    def __init__(self, settings: NetworkSettings) -> None:
+        super().__init__()
+        self.settings = settings
+        self.resnet = DenseResNet(settings.depth, settings.descriptor_dim)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the weights are."""
+        return self.resnet.conv1.weight.device
+
+    def channels_last(self) -> None:
+        """Lay the weights out as the images are: convolutions on a CPU are faster so, and on a GPU no slower."""
+        for parameter in self.resnet.parameters():
+            if parameter.ndim == 4:
+                parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
+
+    def normalised(self, rgb: UInt8[Tensor, "b h w 3"]) -> Float[Tensor, "b 3 h w"]:
+        """Images as the network takes them."""
+        mean = torch.tensor(self.settings.mean, device=rgb.device) * 255.0
+        std = torch.tensor(self.settings.std, device=rgb.device) * 255.0
+        # The permuted result is in memory with channels last already, which convolutions on a CPU are faster with.
+        return ((rgb.float() - mean) / std).permute(0, 3, 1, 2)
+
+    def forward(self, rgb: UInt8[Tensor, "b h w 3"]) -> Float[Tensor, "b d h8 w8"]:
+        """Descriptors at stride 8 of images of any size."""
+        return self.resnet(self.normalised(rgb))
+
+    def input_size(self, size: tuple[int, int]) -> tuple[int, int]:
+        """(height, width) that an image of `size` is resized to: the network's height, the image's shape."""
+        height = self.settings.height
+        width = max(round(height * size[1] / size[0] / STRIDE), 1) * STRIDE
+        return height, width
+
+    @torch.inference_mode()
+    def cells(self, rgb: UInt8[ndarray, "*b h w 3"]) -> Float[Tensor, "*b d h8 w8"]:
+        """Descriptors at stride 8 of the resized image, the compact form of what `describe` gives."""
+        images = rgb if rgb.ndim == 4 else rgb[None]
+        size = self.input_size(images.shape[1:3])
+        resized = np.stack([_resized(image, size) for image in images])
+        was_training = self.training
+        self.eval()
+        found = self(torch.from_numpy(resized).to(self.device)).float()
+        self.train(was_training)
+        return found if rgb.ndim == 4 else found[0]
+
+    @torch.inference_mode()
+    def describe(self, rgb: UInt8[ndarray, "*b h w 3"]) -> Float[Tensor, "*b d h2 w2"]:
+        """A descriptor for every pixel of the resized image; `input_size` tells its size."""
+        cells = self.cells(rgb)
+        size = self.input_size((rgb.shape[-3], rgb.shape[-2]))
+        full = upsampled(cells if rgb.ndim == 4 else cells[None], size)
+        return full if rgb.ndim == 4 else full[0]
+
+    @torch.inference_mode()
+    def descriptors_at(self, rgb: UInt8[ndarray, "h w 3"], uv: Float[ndarray, "m 2"]) -> Float[Tensor, "m d"]:
+        """Descriptors at pixels of the image as it is, before resizing."""
+        size = (rgb.shape[0], rgb.shape[1])
+        scaled = scale_pixels(uv.astype(np.float64), size, self.input_size(size)).astype(np.float32)
+        return sampled(self.cells(rgb)[None], torch.from_numpy(scaled).to(self.device)[None])[0]
+
+    @torch.inference_mode()
+    def distance_maps(
+        self, rgb: UInt8[ndarray, "h w 3"], references: Float[ndarray, "k d"]
+    ) -> Float[ndarray, "k h2 w2"]:
+        """Descriptor distance z of every pixel of the resized image to each reference."""
+        found = distance_maps(self.describe(rgb), torch.from_numpy(references).to(self.device))
+        return found.cpu().numpy()
+
+    def scaled_intrinsics(self, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Float[ndarray, "3 3"]:
+        """Intrinsics of the resized image, for an image of `size`."""
+        return scale_intrinsics(K, size, self.input_size(size))
+
+    def save(self, folder: Path) -> None:
+        """Write `weights.safetensors` and `model.json`."""
+        state = {name: value.detach().cpu().contiguous() for name, value in self.resnet.state_dict().items()}
+        save_file(state, folder / "weights.safetensors")
+        content = {"network": "dilated ResNet, stride 8", "distance": "|a - b| / sqrt(descriptor_dim)"}
+        text = json.dumps({**content, **asdict(self.settings)}, indent=2, sort_keys=True)
+        (folder / "model.json").write_text(text + "\n", encoding="utf-8")
+
+
+def load(folder: Path, device: str | torch.device | None = None) -> DescriptorNetwork:
+    """The network that `save` wrote, ready to describe; on the GPU by itself where there is one.
+
+    Raises:
+        ValueError: the weights do not belong to the description.
+    """
+    content = json.loads((folder / "model.json").read_text(encoding="utf-8"))
+    settings = NetworkSettings(
+        depth=content["depth"],
+        descriptor_dim=content["descriptor_dim"],
+        height=content["height"],
+        mean=tuple(content["mean"]),
+        std=tuple(content["std"]),
+    )
+    network = DescriptorNetwork(settings)
+    network.channels_last()
+    try:
+        network.resnet.load_state_dict(load_file(folder / "weights.safetensors"))
+    except RuntimeError as error:
+        raise ValueError(f"weights.safetensors does not fit model.json: {str(error)[:300]}") from error
+    return network.to(best_device() if device is None else device).eval()
+
+
+def best_device() -> torch.device:
+    """The GPU where there is one, else the CPU."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def distance_maps(descriptors: Float[Tensor, "d h w"], references: Float[Tensor, "k d"]) -> Float[Tensor, "k h w"]:
+    """z = |a - b| / sqrt(D) of every pixel to each reference, by one matrix product."""
+    dimension, height, width = descriptors.shape
+    # Distances do not change when both sides are moved, and the product loses fewer digits near the origin.
+    centre = references.mean(dim=0)
+    pixels, centred = descriptors.flatten(1) - centre[:, None], references - centre
+    z_squared = (centred @ pixels).mul_(-2.0)
+    z_squared += pixels.square().sum(dim=0)
+    z_squared += centred.square().sum(dim=1, keepdim=True)
+    return z_squared.clamp_(min=0.0).sqrt_().div_(math.sqrt(dimension)).reshape(-1, height, width)
+
+
+def _resized(rgb: UInt8[ndarray, "h w 3"], size: tuple[int, int]) -> UInt8[ndarray, "h2 w2 3"]:
+    if rgb.shape[:2] == size:
+        return np.ascontiguousarray(rgb)
+    # Area averaging keeps the image's edges where they are, as scale_pixels assumes, and does not alias.
+    shrinking = size[0] < rgb.shape[0]
+    return cv2.resize(rgb, (size[1], size[0]), interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR)

@@ -1,0 +1,201 @@
+"""Residual networks for dense prediction: output stride 8, parameter names and shapes of torchvision's.
+
+torchvision itself is not needed. With its names, any file of ImageNet weights it publishes loads as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+STRIDE = 8
+"""Input pixels a cell of the output covers, in each direction."""
+
+_LAYERS = {18: (2, 2, 2, 2), 34: (3, 4, 6, 3), 50: (3, 4, 6, 3), 101: (3, 4, 23, 3)}
+DEPTHS = tuple(_LAYERS)
+
+
+class BasicBlock(nn.Module):
+    """Two 3x3 convolutions around which the input is carried."""
+
+    expansion = 1
+
+    def __init__(self, n_in: int, n_middle: int, stride: int, dilation: int) -> None:
+        super().__init__()
+        self.conv1 = _conv3x3(n_in, n_middle, stride, dilation)
+        self.bn1 = nn.BatchNorm2d(n_middle)
+        self.conv2 = _conv3x3(n_middle, n_middle, 1, dilation)
+        self.bn2 = nn.BatchNorm2d(n_middle)
+        self.downsample = _shortcut(n_in, n_middle, stride)
+
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c2 h2 w2"]:
+        """The block's output."""
+        y = F.relu(self.bn1(self.conv1(x)))
+        y = self.bn2(self.conv2(y))
+        return F.relu(y + (x if self.downsample is None else self.downsample(x)))
+
+
+class Bottleneck(nn.Module):
+    """1x1, 3x3, 1x1 convolutions around which the input is carried; the stride is in the 3x3, as in torchvision."""
+
+    expansion = 4
+
+    def __init__(self, n_in: int, n_middle: int, stride: int, dilation: int) -> None:
+        super().__init__()
+        n_out = n_middle * self.expansion
+        self.conv1 = nn.Conv2d(n_in, n_middle, 1, bias=False)
+        self.bn1 = nn.BatchNorm2d(n_middle)
+        self.conv2 = _conv3x3(n_middle, n_middle, stride, dilation)
+        self.bn2 = nn.BatchNorm2d(n_middle)
+        self.conv3 = nn.Conv2d(n_middle, n_out, 1, bias=False)
+        self.bn3 = nn.BatchNorm2d(n_out)
+        self.downsample = _shortcut(n_in, n_out, stride)
+
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c2 h2 w2"]:
+        """The block's output."""
+        y = F.relu(self.bn1(self.conv1(x)))
+        y = F.relu(self.bn2(self.conv2(y)))
+        y = self.bn3(self.conv3(y))
+        return F.relu(y + (x if self.downsample is None else self.downsample(x)))
+
+
+class DenseResNet(nn.Module):
+    """A ResNet whose last two layers are dilated, not strided, and a 1x1 convolution, `head`, in place of `fc`."""
+
+    def __init__(self, depth: int, n_outputs: int) -> None:
+        super().__init__()
+        if depth not in _LAYERS:
+            raise ValueError(f"depth: expected one of {', '.join(map(str, DEPTHS))}, got {depth}")
+        block = BasicBlock if depth < 50 else Bottleneck
+        n1, n2, n3, n4 = _LAYERS[depth]
+        self.conv1 = nn.Conv2d(3, 64, 7, stride=2, padding=3, bias=False)
+        self.bn1 = nn.BatchNorm2d(64)
+        self.layer1 = _layer(block, 64, 64, n1)
+        self.layer2 = _layer(block, 64 * block.expansion, 128, n2, stride=2)
+        # A layer that would halve the image keeps its size and spreads its taps instead. The first block of it still
+        # reads the layer before at that layer's spacing.
+        self.layer3 = _layer(block, 128 * block.expansion, 256, n3, dilations=(1, 2))
+        self.layer4 = _layer(block, 256 * block.expansion, 512, n4, dilations=(2, 4))
+        self.head = nn.Conv2d(512 * block.expansion, n_outputs, 1)
+        assert self.head.bias is not None
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
+        # By its few outputs the head would start with descriptors tens of units apart, far beyond every margin.
+        nn.init.normal_(self.head.weight, std=self.head.in_channels**-0.5)
+        nn.init.zeros_(self.head.bias)
+
+    def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b d h8 w8"]:
+        """The output at stride 8; cell (i, j) stands for the block of pixels from (8i, 8j) to (8i + 7, 8j + 7).
+
+        Each of the three strided layers is centred on the first of the two pixels it joins, so that cell i would look
+        at pixel 8i, the corner of its block. Half a block of padding, and leaving out the cell that is gained, puts the
+        centre at 8i + 4: half a pixel from the middle, where bilinear up-sampling believes it to be. Without this,
+        descriptors move by seven pixels when the image is turned by half a turn.
+        """
+        height, width = x.shape[-2:]
+        rest = (-height % STRIDE, -width % STRIDE)
+        half = STRIDE // 2
+        x = F.pad(x, (half, half + rest[1], half, half + rest[0]))
+        x = F.relu(self.bn1(self.conv1(x)))
+        x = F.max_pool2d(x, 3, stride=2, padding=1)
+        x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
+        return self.head(x[..., 1:, 1:])
+
+
+def upsampled(descriptors: Float[Tensor, "b d h8 w8"], size: tuple[int, int]) -> Float[Tensor, "b d h w"]:
+    """Descriptors at every pixel of the image of `size` (height, width) they were computed from.
+
+    Bilinear between the centres of the cells, in the convention of `core.geometry.scale_pixels`. A size that is no
+    multiple of the stride is computed for the next one, then cut.
+    """
+    height, width = descriptors.shape[-2] * STRIDE, descriptors.shape[-1] * STRIDE
+    full = F.interpolate(descriptors, size=(height, width), mode="bilinear", align_corners=False)
+    return full[..., : size[0], : size[1]]
+
+
+def sampled(descriptors: Float[Tensor, "b d h8 w8"], uv: Float[Tensor, "b m 2"]) -> Float[Tensor, "b m d"]:
+    """Descriptors at sub-pixel positions of the image, without up-sampling all of it.
+
+    At pixel centres this is `upsampled`, in between its continuation.
+    """
+    cells = (uv + 0.5) / STRIDE
+    size = torch.tensor([descriptors.shape[-1], descriptors.shape[-2]], dtype=uv.dtype, device=uv.device)
+    grid = (2.0 * cells / size - 1.0)[:, None]
+    found = F.grid_sample(descriptors, grid, mode="bilinear", padding_mode="border", align_corners=False)
+    return found[:, :, 0].transpose(1, 2)
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """What became of a file of weights: names the network has and the file lacks, and the other way round."""
+
+    missing: tuple[str, ...]
+    unused: tuple[str, ...]
+
+
+def load_weights(network: DenseResNet, state: Mapping[str, Tensor]) -> Loaded:
+    """Take over pretrained weights. The classifier `fc` is left out; `head` keeps its random start unless given.
+
+    Raises:
+        ValueError: a parameter has another shape, or none fits.
+    """
+    own = network.state_dict()
+    for name in sorted(own.keys() & state.keys()):
+        if own[name].shape != state[name].shape:
+            raise ValueError(f"{name}: expected shape {tuple(own[name].shape)}, got {tuple(state[name].shape)}")
+    fitting = {name: value for name, value in state.items() if name in own}
+    if not any(name.startswith(("conv1", "layer")) for name in fitting):
+        raise ValueError(f"expected names such as conv1.weight and layer1.0.conv1.weight, got {sorted(state)[:3]}")
+    network.load_state_dict({**own, **fitting})
+    # Counters of seen batches came late to torchvision's files, and nothing depends on them.
+    missing = [name for name in own if name not in state and not name.endswith("num_batches_tracked")]
+    unused = [name for name in state if name not in own and not name.startswith("fc.")]
+    return Loaded(tuple(missing), tuple(unused))
+
+
+def read_weights(file: Path) -> dict[str, Tensor]:
+    """Tensors by name from a `.safetensors` file, or a torch file, of which no code is run.
+
+    Raises:
+        ValueError: the file holds something else than tensors by name.
+    """
+    if file.suffix == ".safetensors":
+        from safetensors.torch import load_file
+
+        return load_file(file)
+    content = torch.load(file, map_location="cpu", weights_only=True)
+    if isinstance(content, dict) and isinstance(content.get("state_dict"), dict):
+        content = content["state_dict"]
+    if not isinstance(content, dict) or not all(isinstance(value, Tensor) for value in content.values()):
+        raise ValueError("expected tensors by name, as torch.save(network.state_dict(), ...) writes them")
+    return dict(content)
+
+
+def _conv3x3(n_in: int, n_out: int, stride: int, dilation: int) -> nn.Conv2d:
+    return nn.Conv2d(n_in, n_out, 3, stride=stride, padding=dilation, dilation=dilation, bias=False)
+
+
+def _shortcut(n_in: int, n_out: int, stride: int) -> nn.Sequential | None:
+    if stride == 1 and n_in == n_out:
+        return None
+    return nn.Sequential(nn.Conv2d(n_in, n_out, 1, stride=stride, bias=False), nn.BatchNorm2d(n_out))
+
+
+def _layer(
+    block: type[BasicBlock] | type[Bottleneck],
+    n_in: int,
+    n_middle: int,
+    n_blocks: int,
+    stride: int = 1,
+    dilations: tuple[int, int] = (1, 1),
+) -> nn.Sequential:
+    first = block(n_in, n_middle, stride, dilations[0])
+    rest = [block(n_middle * block.expansion, n_middle, 1, dilations[1]) for _ in range(n_blocks - 1)]
+    return nn.Sequential(first, *rest)

@@ -1,0 +1,145 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from bask_data.nn.loss import (
+    TINY,
+    ContrastiveSettings,
+    bilinear_corners,
+    contrastive,
+    heat_map_entropy,
+    infonce,
+    squared_distance,
+)
+from bask_data.nn.resnet import sampled, upsampled
+
+
+def random_case(seed: int = 0, scale: float = 0.7):
+    rng = np.random.default_rng(seed)
+    b, m, n, d = 2, 3, 5, 4
+    a, p = rng.normal(size=(2, b, m, d)) * scale
+    others = a[:, :, None] + rng.normal(size=(b, m, n, d)) * scale
+    foreground = rng.random((b, m, n)) < 0.4
+    valid = rng.random((b, m, n)) < 0.8
+    return a, p, others, foreground, valid
+
+
+def slow_contrastive(a, p, others, foreground, valid, settings: ContrastiveSettings) -> float:
+    """Eq. 1 pair by pair and pixel by pixel."""
+    total, (b, m, n, d) = 0.0, others.shape
+    for i in range(b):
+        for j in range(m):
+            total += sum((a[i, j, c] - p[i, j, c]) ** 2 for c in range(d)) / d / (b * m)
+            hinges = []
+            for k in range(n):
+                if not valid[i, j, k]:
+                    continue
+                z = np.sqrt(sum((a[i, j, c] - others[i, j, k, c]) ** 2 for c in range(d)) / d)
+                margin = settings.margin_foreground if foreground[i, j, k] else settings.margin_background
+                hinges.append(max(0, margin - z**2) if settings.form == "squared" else max(0, margin - z) ** 2)
+            counted = sum(h > 0 for h in hinges) if settings.hard_negatives else len(hinges)
+            total += sum(hinges) / max(counted, 1) / (b * m)
+    return total
+
+
+@pytest.mark.parametrize("form", ["squared", "plain"])
+@pytest.mark.parametrize("hard_negatives", [False, True])
+def test_contrastive_loss_equals_its_formula_in_loops(form, hard_negatives):
+    case = random_case()
+    settings = ContrastiveSettings(form=form, hard_negatives=hard_negatives)
+    expected = slow_contrastive(*case, settings)
+    found = contrastive(*map(torch.from_numpy, case), settings)
+    assert float(found.loss) == pytest.approx(expected, rel=1e-4)
+    assert set(found.logged) == {"loss_match", "loss_foreground", "loss_background", "share_inside_margin"}
+
+
+def test_the_loss_is_zero_where_matches_agree_and_all_else_is_beyond_the_margins():
+    a = torch.zeros(1, 2, 4)
+    others = torch.ones(1, 2, 3, 4)
+    flags = torch.zeros(1, 2, 3, dtype=torch.bool)
+    assert float(contrastive(a, a, others, flags, ~flags).loss) == 0.0
+
+
+def test_background_has_the_larger_margin():
+    a = torch.zeros(1, 1, 4)
+    others = torch.full((1, 1, 1, 4), 0.6)  # z^2 = 0.36, between the margins
+    yes = torch.ones(1, 1, 1, dtype=torch.bool)
+    assert float(contrastive(a, a, others, yes, yes).loss) == 0.0
+    assert float(contrastive(a, a, others, ~yes, yes).loss) == pytest.approx(0.75 - 0.36)
+
+
+def test_distances_do_not_depend_on_how_often_dimensions_are_repeated():
+    a, b = torch.randn(2, 7, 16)
+    torch.testing.assert_close(squared_distance(a, b), squared_distance(a.repeat(1, 4), b.repeat(1, 4)))
+
+
+@pytest.mark.parametrize("form", ["squared", "plain"])
+def test_gradients_are_finite_where_descriptors_coincide(form):
+    a = torch.zeros(1, 2, 4, requires_grad=True)
+    others = torch.zeros(1, 2, 3, 4)
+    flags = torch.zeros(1, 2, 3, dtype=torch.bool)
+    contrastive(a, a.detach(), others, flags, ~flags, ContrastiveSettings(form=form)).loss.backward()
+    assert torch.isfinite(a.grad).all()
+
+
+def slow_heat_map_entropy(queries, grid, uv, alpha, spacing) -> float:
+    """Cross-entropy over grid points, distance by distance."""
+    b, m, _ = queries.shape
+    _, _, height, width = grid.shape
+    total = 0.0
+    for i in range(b):
+        for j in range(m):
+            z = np.zeros((height, width))
+            for v in range(height):
+                for u in range(width):
+                    z[v, u] = np.sqrt(np.mean((queries[i, j] - grid[i, :, v, u]) ** 2) + TINY)
+            logits = -alpha * z
+            log_heat = logits - np.log(np.exp(logits).sum())
+            u, v = (uv[i, j] + 0.5) / spacing - 0.5
+            for v0 in range(height):
+                for u0 in range(width):
+                    weight = max(0, 1 - abs(u - u0)) * max(0, 1 - abs(v - v0))
+                    total -= weight * log_heat[v0, u0] / (b * m)
+    return total
+
+
+def test_heat_map_entropy_equals_its_formula_in_loops():
+    torch.manual_seed(0)
+    queries, cells = torch.randn(2, 3, 4, dtype=torch.float64), torch.randn(2, 4, 3, 5, dtype=torch.float64)
+    uv = torch.tensor([[[10.0, 5.0], [30.3, 20.9], [17.5, 11.2]], [[4.0, 4.0], [35.0, 19.0], [21.7, 12.9]]]).double()
+    grid = torch.nn.functional.interpolate(cells, scale_factor=2, mode="bilinear", align_corners=False)
+    expected = slow_heat_map_entropy(queries.numpy(), grid.numpy(), uv.numpy(), 4.0, 4.0)
+    assert float(heat_map_entropy(queries, cells, uv, 4.0)) == pytest.approx(expected, rel=1e-6)
+
+
+def test_bilinear_corners_reproduce_sampling():
+    torch.manual_seed(0)
+    cells, uv = torch.randn(2, 3, 6, 9), torch.rand(2, 20, 2) * torch.tensor([71.0, 47.0])
+    index, weight = bilinear_corners(uv, 8.0, 6, 9)
+    values = cells.flatten(2)[:, :, None].expand(-1, -1, 20, -1).gather(-1, index[:, None].expand(-1, 3, -1, -1))
+    torch.testing.assert_close((values * weight[:, None]).sum(-1).transpose(1, 2), sampled(cells, uv))
+
+
+def test_infonce_is_lowest_where_each_pixel_is_like_itself_alone():
+    torch.manual_seed(0)
+    cells = torch.randn(1, 8, 4, 6) * 3
+    uv = torch.tensor([[[11.5, 11.5], [35.5, 19.5], [27.5, 3.5]]])
+    right = sampled(cells, uv)
+    wrong = right.roll(1, dims=1)
+    good = infonce(cells, cells, right, right, uv, uv, 4.0, 0.1)
+    bad = infonce(cells, cells, right, wrong, uv, uv, 4.0, 0.1)
+    assert float(good.loss) < float(bad.loss)
+    assert float(good.logged["loss_match"]) == 0.0
+
+
+def test_up_sampled_descriptors_are_what_the_heat_maps_are_trained_on():
+    torch.manual_seed(0)
+    cells = torch.randn(1, 4, 3, 5)
+    index, weight = bilinear_corners(torch.tensor([[[13.0, 9.0]]]), 1.0, 24, 40)
+    assert weight.max() == 1.0
+    best = index[0, 0, weight[0, 0].argmax()]
+    torch.testing.assert_close(
+        upsampled(cells, (24, 40)).flatten(2)[0, :, best], sampled(cells, torch.tensor([[[13.0, 9.0]]]))[0, 0]
+    )
