@@ -16,7 +16,15 @@ from numpy.random import Generator
 from scipy.special import ndtr
 
 from bask_data.core.geometry import in_image, invert_rigid, project, transform, unproject
-from bask_data.core.heatmap import Estimate, Motion, Observation, pixels_of, shrink_depth, unseen_likelihood
+from bask_data.core.heatmap import (
+    Estimate,
+    Motion,
+    Observation,
+    pixels_of,
+    shrink_depth,
+    softmax_map,
+    unseen_likelihood,
+)
 
 LEAST_LIKELIHOOD = 1e-30
 """Stands for zero: a particle that cannot be right keeps a weight, so that not even a set without any right one has
@@ -58,11 +66,12 @@ class ParticleSettings:
     """Metres by which something must lie in front of a particle to hide it."""
     resample_below: float = 0.1
     """Resample when the effective number of particles is below this share of all."""
+    draw_sharpness: float = 3.0
+    """How much higher than alpha the temperature is of the heat maps that particles are drawn from, first and later:
+    alpha is made for many frames together, and in a single one leaves most of the weight to the background. One for the
+    paper's filter."""
     redraw_share: float = 0.01
     """Share of the particles drawn anew from each frame's heat maps."""
-    redraw_alpha: float = 8.0
-    """Temperature of the heat maps these are drawn from: where to look again is a search for the best matches, not a
-    posterior."""
     redraw_mass: float = 1e-3
     """Weight these get together: the probability that the track has been lost, in each frame."""
 
@@ -199,27 +208,23 @@ def first_particles(
     if not usable:
         return None
     owner = np.sort(np.resize(usable, settings.n_particles))
-    drawn = [draw(observations[i], int((owner == i).sum()), rng, settings.alpha, settings, block=1) for i in usable]
-    points = np.concatenate([some for some, _ in drawn], axis=1)
+    points = np.concatenate([draw(observations[i], int((owner == i).sum()), rng, settings) for i in usable], axis=1)
     likelihoods = [likelihood(points, seen, settings) for seen in observations]
     log_weight = np.full(points.shape[:2], -np.log(settings.n_particles))
     for i, (total, _) in enumerate(likelihoods):
         log_weight = log_weight + np.where(owner == i, 0.0, np.log(total))
     weight, log_others = _normalised(log_weight)
-    log_own = np.mean([log_evidence for _, log_evidence in drawn], axis=0)
+    log_own = np.mean([softmax_map(observations[i].distance, settings.alpha)[1] for i in usable], axis=0)
     return points, weight, likelihoods, log_own + log_others
 
 
 def draw(
-    seen: Observation, n: int, rng: Generator, alpha: float, settings: ParticleSettings, block: int
-) -> tuple[Float[ndarray, "k n 3"], Float[ndarray, "k"]]:
-    """n points per keypoint on the measured surface, from softmax(-alpha z), with the noise of a pixel and of depth.
+    seen: Observation, n: int, rng: Generator, settings: ParticleSettings, block: int = 1
+) -> Float[ndarray, "k n 3"]:
+    """n points per keypoint on the measured surface, from the heat map, with the noise of a pixel and of depth.
 
     Args:
         block: look at one pixel only, a random one, of each block x block pixels.
-
-    Returns:
-        points_world, and the log of the mean of exp(-alpha z).
     """
     height, width = seen.distance.shape[1:]
     depth = shrink_depth(seen.depth, (height, width))
@@ -233,16 +238,15 @@ def draw(
     else:
         v, u = np.nonzero(depth > 0)
     z = seen.distance[:, v, u]
-    nearest = z.min(axis=1, keepdims=True)
-    total = np.cumsum(np.exp(-alpha * (z - nearest), dtype=np.float64), axis=1)
+    alpha = settings.draw_sharpness * settings.alpha
+    total = np.cumsum(np.exp(-alpha * (z - z.min(axis=1, keepdims=True)), dtype=np.float64), axis=1)
     at = (np.arange(n) + rng.random(n)) / n
     chosen = np.stack([np.searchsorted(row, at * row[-1], side="right") for row in total]).clip(max=len(v) - 1)
     scale = np.array([seen.depth.shape[1] / width, seen.depth.shape[0] / height])
     cell = np.stack([u[chosen], v[chosen]], axis=-1) + rng.uniform(-0.5, 0.5, (n, 2))
     z_d = depth[v[chosen], u[chosen]].astype(np.float64)
     z_d = z_d + rng.standard_normal(n) * (settings.depth_noise * z_d + settings.depth_noise_floor)
-    points = transform(seen.world_from_camera, unproject((cell + 0.5) * scale - 0.5, z_d, seen.K))
-    return points, np.log(total[:, -1] / len(v)) - alpha * nearest[:, 0].astype(np.float64)
+    return transform(seen.world_from_camera, unproject((cell + 0.5) * scale - 0.5, z_d, seen.K))
 
 
 def refresh(
@@ -272,7 +276,7 @@ def refresh(
     parts = np.array_split(np.arange(n_new), len(usable))
     new = np.concatenate(
         [
-            draw(seen, len(part), rng, settings.redraw_alpha, settings, DRAW_BLOCK)[0]
+            draw(seen, len(part), rng, settings, DRAW_BLOCK)
             for seen, part in zip(usable, parts, strict=True)
             if len(part)
         ],

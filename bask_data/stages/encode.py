@@ -77,7 +77,8 @@ def track(
     import numpy as np
 
     from bask_data.core.bayes_filter import step
-    from bask_data.core.heatmap import Observation
+    from bask_data.core.geometry import scale_pixels
+    from bask_data.core.heatmap import Observation, fitted
 
     cameras = demonstration.cameras
     n_frames = cameras[0].n_frames
@@ -97,11 +98,13 @@ def track(
     ) as writer:
         for i_frame in progress(range(n_frames), "tracking keypoints"):
             observations = [
-                Observation(
-                    distance=distances(camera.rgb(i_frame)),
-                    depth=camera.depth(i_frame),
-                    K=camera.K,
-                    world_from_camera=camera.world_from_cameras[i_frame],
+                fitted(
+                    Observation(
+                        distance=distances(camera.rgb(i_frame)),
+                        depth=camera.depth(i_frame),
+                        K=camera.K,
+                        world_from_camera=camera.world_from_cameras[i_frame],
+                    )
                 )
                 for camera in cameras
             ]
@@ -112,7 +115,13 @@ def track(
                 mode=estimate.mode,
                 n_eff=estimate.n_eff,
                 log_evidence=estimate.log_evidence,
-                cameras={camera.name: (estimate.pixel[i], estimate.observed[i]) for i, camera in enumerate(cameras)},
+                cameras={
+                    camera.name: (
+                        scale_pixels(estimate.pixel[i], seen.depth.shape, (camera.height, camera.width)),
+                        estimate.observed[i],
+                    )
+                    for i, (camera, seen) in enumerate(zip(cameras, observations, strict=True))
+                },
             )
 
 

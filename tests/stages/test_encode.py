@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,7 +16,7 @@ from tests import scenes
 from tests.datasets import publish_artifact
 
 GOLDEN = Path(__file__).parent / "golden"
-HEIGHT, WIDTH, HALF = 48, 64, 0.6
+HEIGHT, WIDTH, HALF = 96, 128, 0.6
 K = scenes.intrinsics(HEIGHT, WIDTH, 50.0)
 N_FRAMES = 12
 ARRAYS = ("mean", "covariance", "mode", "n_eff", "log_evidence")
@@ -39,14 +40,15 @@ def frames(world_from_cameras: np.ndarray) -> tuple[list[np.ndarray], list[np.nd
 
 
 def keypoints() -> np.ndarray:
-    """A point on each object, seen by the first camera."""
+    """The middle of the top of each object, as the first camera sees it."""
     scene, first = scenes.tabletop(3, seed=4), poses()[0]
     view = scene.render(K, first, HEIGHT, WIDTH)
+    seen = transform(first, unproject(pixel_grid(HEIGHT, WIDTH), view.depth.astype(np.float64), K))
     points = []
     for i_object in (1, 2, 3):
-        v, u = (axis[len(axis) // 2] for axis in np.nonzero(view.instance == i_object))
-        pixel = np.array([u, v], dtype=np.float64)
-        points.append(transform(first, unproject(pixel, np.array(view.depth[v, u], dtype=np.float64), K)))
+        mine = seen[view.instance == i_object]
+        top = mine[mine[:, 2] > mine[:, 2].max() - 0.003]
+        points.append(top[np.linalg.norm(top - top.mean(axis=0), axis=1).argmin()])
     return np.array(points)
 
 
@@ -103,7 +105,9 @@ def colours_as_descriptors(monkeypatch: pytest.MonkeyPatch) -> None:
         def distances(rgb: np.ndarray) -> np.ndarray:
             away = rgb.astype(np.float32)[None] - reference.descriptors[:, None, None]
             metres = np.linalg.norm(away, axis=-1) / 255 * 2 * HALF
-            return (1 - np.exp(-((metres / 0.05) ** 2) / 2)).astype(np.float32)
+            z = (1 - np.exp(-((metres / 0.05) ** 2) / 2)).astype(np.float32)
+            # At half the size of the image, as a network would.
+            return np.stack([cv2.resize(one, (WIDTH // 2, HEIGHT // 2), interpolation=cv2.INTER_AREA) for one in z])
 
         return distances
 
