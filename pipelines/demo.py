@@ -55,7 +55,7 @@ def summarise(seconds: float) -> None:
         size = sum(entry["bytes"] for entry in manifest["files"].values())
         print(f"  {file.parent.relative_to(REPOSITORY)!s:<58} {size / 1e6:7.1f} MB")
     print(f"\nLook at   {REPORT.relative_to(REPOSITORY)}   (open it in a browser)")
-    print(f"Read it   python -c 'import zarr; print(zarr.open_group(\"{DATASET.relative_to(REPOSITORY)}\", mode=\"r\"))'")
+    print(f"Read it   zarr.open_group('{DATASET.relative_to(REPOSITORY)}', mode='r')   (any Zarr v3 reader)")
     print("Your own  bask-data ingest frames --help")
 
 

@@ -1,7 +1,7 @@
 """Rigid transforms and the pinhole camera.
 
-A transform `a_from_b` takes coordinates in frame b to frame a. The camera frame is x right, y down, z forward; pixel (0, 0) is the
-centre of the top-left pixel, so an image of width w spans u in [-0.5, w - 0.5].
+A transform `a_from_b` takes coordinates in frame b to frame a. The camera frame is x right, y down, z forward; pixel
+(0, 0) is the centre of the top-left pixel, so an image of width w spans u in [-0.5, w - 0.5].
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ def scale_intrinsics(
 ) -> Float[ndarray, "3 3"]:
     """Intrinsics of the image resized from `size` to `new_size`, both (height, width).
 
-    Resizing keeps the image's *edges*, and our pixel centres are integers, so the principal point moves by half a pixel before and after.
+    Resizing keeps the image's *edges*, and our pixel centres are integers, so the principal point is moved by half a
+    pixel before and after.
     """
     factor = np.array([new_size[1] / size[1], new_size[0] / size[0]])
     scaled = K.copy()
@@ -84,18 +85,18 @@ def scale_pixels(
 
 
 def rotation_angle(rotation: Float[ndarray, "*n 3 3"]) -> Float[ndarray, "*n"]:
-    """Angle of a rotation, radians in [0, pi]. Accurate at small angles too, unlike the arc cosine of the trace alone."""
+    """Angle of a rotation, radians in [0, pi]. Accurate at small angles, unlike the arc cosine of the trace."""
     skew = rotation - np.swapaxes(rotation, -1, -2)
     sine = 0.5 * np.sqrt(skew[..., 2, 1] ** 2 + skew[..., 0, 2] ** 2 + skew[..., 1, 0] ** 2)
     cosine = 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0)
-    return np.arctan2(sine, cosine)
+    return np.asarray(np.arctan2(sine, cosine))
 
 
 def view_change(
     world_from_a: Float[ndarray, "*n 4 4"], world_from_b: Float[ndarray, "*n 4 4"]
 ) -> tuple[Float[ndarray, "*n"], Float[ndarray, "*n"]]:
     """Distance (metres) and rotation angle (radians) between cameras; leading axes broadcast."""
-    distance = np.linalg.norm(world_from_a[..., :3, 3] - world_from_b[..., :3, 3], axis=-1)
+    distance = np.asarray(np.linalg.norm(world_from_a[..., :3, 3] - world_from_b[..., :3, 3], axis=-1))
     a_from_b = np.swapaxes(world_from_a[..., :3, :3], -1, -2) @ world_from_b[..., :3, :3]
     return distance, rotation_angle(a_from_b)
 
@@ -119,7 +120,7 @@ def rigid_fault(matrix: Float[ndarray, "4 4"], tolerance: float = RIGID_TOLERANC
 
 
 def nearest_rigid(matrix: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"]:
-    """The rigid transform closest to an almost rigid one: text files round, and the rounding must not add up in chains."""
+    """The rigid transform closest to an almost rigid one: text files round, and rounding must not add up."""
     left, _, right = np.linalg.svd(matrix[:3, :3])
     rigid = np.eye(4)
     rigid[:3, :3] = left @ right
