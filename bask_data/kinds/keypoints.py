@@ -49,7 +49,7 @@ class KeypointTrack(Artifact):
             "pixel",
         ),
         "{camera}/observed": ArraySpec(
-            ("t", "k"), "bool", "Whether the mean lies in the image and is not behind the measured surface."
+            ("t", "k"), "bool", "Whether the camera more likely than not sees the keypoint: in view, not hidden."
         ),
     }
 

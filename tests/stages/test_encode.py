@@ -8,6 +8,7 @@ import pytest
 
 from bask_data.core.geometry import pixel_grid, project, transform, unproject
 from bask_data.dataset import Dataset, Source
+from bask_data.errors import BadData
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Robot
 from bask_data.stage import make, plan
 from bask_data.stages import encode as encode_module
@@ -19,6 +20,7 @@ GOLDEN = Path(__file__).parent / "golden"
 HEIGHT, WIDTH, HALF = 96, 128, 0.6
 K = scenes.intrinsics(HEIGHT, WIDTH, 50.0)
 N_FRAMES = 12
+DESCRIBER = encode_module.describer
 ARRAYS = ("mean", "covariance", "mode", "n_eff", "log_evidence")
 
 
@@ -192,3 +194,36 @@ def test_cameras_with_different_numbers_of_frames_are_refused(tmp_path: Path) ->
     outcome = make(task)
     assert outcome.status == "failed"
     assert "camera wrist: expected as many frames as camera side (5), got 12" in outcome.why
+
+
+def network_and_reference(root: Path, dimension: int) -> tuple[DescriptorNet, ReferenceKeypoints]:
+    """A small network with random weights, and a reference picked with it at one pixel of a noisy image."""
+    import torch
+
+    from bask_data.nn.network import DescriptorNetwork, NetworkSettings
+
+    torch.manual_seed(0)
+    network = DescriptorNetwork(NetworkSettings(depth=18, descriptor_dim=4, height=32)).eval()
+    for name in ("descriptor", "reference"):
+        (root / name).mkdir()
+    network.save(root / "descriptor")
+    picked = network.descriptors_at(noise(), np.array([[40.0, 30.0]], dtype=np.float32)).numpy()
+    picks = [Pick(name="a", recording="reach", camera="wrist", frame=0, u=40, v=30)]
+    ReferenceKeypoints.write(root / "reference", descriptors=picked[:, :dimension], picks=picks)
+    return DescriptorNet(root / "descriptor"), ReferenceKeypoints(root / "reference")
+
+
+def noise() -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 256, (64, 96, 3), dtype=np.uint8)
+
+
+def test_the_networks_distance_map_is_near_zero_where_the_reference_was_picked(tmp_path: Path) -> None:
+    distances = DESCRIBER(*network_and_reference(tmp_path, dimension=4))(noise())
+    assert distances.shape == (1, 32, 48)
+    # Pixel (40, 30) lies between the pixels 19 and 20, 14 and 15 of the image at half the size.
+    assert distances[0, 14:16, 19:21].min() < 0.2 * np.median(distances)
+
+
+def test_references_of_another_network_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadData, match="descriptors: expected 4 values each, as the network gives, got 3"):
+        DESCRIBER(*network_and_reference(tmp_path, dimension=3))
