@@ -98,16 +98,12 @@ def percent(value: float | None) -> str:
 
 
 def millimetres(value: float | None) -> str:
-    """Metres, written in millimetres or centimetres."""
+    """Metres, written in millimetres below one metre, so that a column of them compares at a glance."""
     if value is None or value != value:
         return "–"
-    return (
-        f"{1000 * value:.1f}{NBSP}mm"
-        if value < 0.1
-        else f"{100 * value:.1f}{NBSP}cm"
-        if value < 1
-        else f"{value:.2f}{NBSP}m"
-    )
+    if value >= 1:
+        return f"{value:.2f}{NBSP}m"
+    return f"{1000 * value:.1f}{NBSP}mm" if value < 0.0995 else f"{1000 * value:.0f}{NBSP}mm"
 
 
 def size(value: float | None) -> str:

@@ -201,6 +201,8 @@ def _headline(chosen: Chosen) -> list[tuple[str, str]]:
     if n_matches:
         rows.append((f"{sum(n_matches):,}", "matches between views"))
     for name, variant, scored in chosen.tracks:
+        if variant != chosen.tracks[0][1]:  # Other variants are compared in their own section.
+            continue
         try:
             found = measured.figures_of_track(scored)
         except BaskError:
@@ -517,12 +519,12 @@ def training(chosen: Chosen) -> list[Part]:
         if found is None:
             return None
         return {
-            "title": variant if len(chosen.variants) > 1 else "",
+            "title": variant,
             "numbers": measured.descriptor_figures(found),
             "plots": _curve_plots(found),
         }
 
-    return per_item(chosen.variants, part)
+    return _untitled_if_alone(per_item(chosen.variants, part))
 
 
 def _curve_plots(descriptor: DescriptorNet) -> list[Part]:
@@ -611,7 +613,7 @@ def reference(chosen: Chosen) -> list[Part]:
                 uri = draw.jpeg_uri(draw.marks_picture(image, marks, 640 if len(by_frame) < 3 else PICTURE))
                 tiles.append({"uri": uri, "text": f"{recording}, {camera}, frame {i_frame}"})
         return {
-            "title": variant if len(chosen.variants) > 1 else "",
+            "title": variant,
             "tiles": tiles,
             "n_frames_left_out": max(len(by_frame) - len(unseen) - len(tiles), 0),
             "unseen": unseen,
@@ -622,7 +624,12 @@ def reference(chosen: Chosen) -> list[Part]:
             "n_rows_left_out": max(len(found.picks) - 2 * N_ROWS, 0),
         }
 
-    return per_item(chosen.variants, part)
+    return _untitled_if_alone(per_item(chosen.variants, part))
+
+
+def _untitled_if_alone(parts: list[Part]) -> list[Part]:
+    """A variant's name says something only where there are several."""
+    return [{**part, "title": ""} for part in parts] if len(parts) == 1 else parts
 
 
 def _pick_mark(pick: Pick, i: int, colour: draw.Colour) -> draw.Mark:
@@ -648,12 +655,16 @@ def heat_maps(chosen: Chosen) -> list[Part]:
             return None
         descriptor = measured.input_variant(chosen.dataset, found, DescriptorNet, variant)
         if descriptor is None:
-            return {"title": variant, "why_not": "the descriptor network they were described with is not there"}
+            return {
+                "title": names[0] + f" ({variant})",
+                "why_not": "the descriptor network they were described with is not there",
+            }
         demonstration = find(chosen.dataset, Demonstration, names[0])
         assert demonstration is not None, "found above"
         return _heat_part(chosen, variant, names[0], demonstration, found, descriptor)
 
-    return per_item(chosen.variants, part)
+    parts = per_item(chosen.variants, part)
+    return [{**one, "title": one["title"].removesuffix(" (main)")} for one in parts] if len(parts) == 1 else parts
 
 
 def _heat_part(
@@ -699,7 +710,7 @@ def _heat_part(
                 }
             )
     return {
-        "title": f"{name}, {camera.name}" + (f" ({variant})" if len(chosen.variants) > 1 else ""),
+        "title": f"{name}, {camera.name} ({variant})",
         "rows": rows,
         "n_left_out": len(reference.picks) - len(indices),
         "alpha": alpha,
@@ -874,7 +885,7 @@ def _track_plots(scored: TrackScores, colours: list[draw.Colour]) -> list[Part]:
                 "svg": _share_plot(scored),
                 "caption": "Share of the keypoints whose object is in view that lie on it (solid) or within "
                 f"{measured.TOLERANCE_PX:g} px of it (dashed), by the labels. "
-                "Dotted in colour: what pixels drawn blindly would reach.",
+                "Orange: what pixels drawn blindly would reach.",
             }
         )
     return plots
