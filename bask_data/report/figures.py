@@ -41,6 +41,15 @@ N_SAMPLED = 8
 
 A = TypeVar("A", bound=Artifact)
 
+UNREADABLE = (BaskError, LookupError, ValueError, ArithmeticError)
+"""What artifacts raise that are broken or do not belong together: frames or columns missing, shapes that differ.
+A report is where a person looks to find that out, so it says so and goes on."""
+
+
+def what_is_wrong(error: Exception) -> str:
+    """The error in words; those that are not ours do not say what they are of themselves."""
+    return str(error) if isinstance(error, BaskError) else f"{type(error).__name__}: {error}"
+
 
 def find(dataset: Dataset, kind: type[A], item: str = "", variant: str = "main") -> A | None:
     """The artifact, or None if it was not made."""
@@ -113,8 +122,8 @@ def _each(names: Sequence[str], figures: Any) -> dict[str, Any]:
     for name in names:
         try:
             value = figures(name)
-        except BaskError as error:
-            value = {"error": str(error)}
+        except UNREADABLE as error:
+            value = {"error": what_is_wrong(error)}
         if value:
             found[name] = value
     return found
@@ -406,9 +415,12 @@ class TrackScores:
         truth = self.truth
         if truth is None or not self.labels.any():
             return {}
+        sizes = (
+            {camera.name: (camera.height, camera.width) for camera in self.recording.cameras} if self.recording else {}
+        )
         return {
             camera: [
-                scores.landing(pixel, self.labels, truth.instance(camera, i_frame), TOLERANCE_PX)
+                scores.landing(pixel, self.labels, _checked(truth, camera, i_frame, sizes.get(camera)), TOLERANCE_PX)
                 for i_frame, pixel in enumerate(self.track.pixel(camera))
             ]
             for camera in self.track.camera_names
@@ -445,6 +457,14 @@ class TrackScores:
         if not any(one.in_view.any() for one in self.all_landings):
             return "no keypoint's object is in view by the labels"
         return ""
+
+
+def _checked(truth: Truth, camera: str, i_frame: int, size: tuple[int, int] | None) -> np.ndarray:
+    """The labels of a frame, which must be as large as its image: pixels mean nothing else."""
+    labels = truth.instance(camera, i_frame)
+    if size is not None and labels.shape != size:
+        raise BadData(truth.path / camera / "instance", "shape", expected=f"{size} as the images", got=labels.shape)
+    return labels
 
 
 def _known_keypoint(dataset: Dataset, pick: Pick | None, truth: Truth | None) -> KnownKeypoint:

@@ -11,8 +11,8 @@ import markupsafe
 
 from bask_data import __version__
 from bask_data.dataset import Dataset
-from bask_data.errors import BaskError
 from bask_data.report import sections
+from bask_data.report.figures import UNREADABLE, what_is_wrong
 
 TEMPLATE = "page.html.j2"
 MOST_BYTES = 8_000_000
@@ -68,8 +68,8 @@ def _built(name: str, title: str, make: Callable[[sections.Chosen], Any], chosen
     """A section's parts, or None without any; an artifact that cannot be read says so in place of its pictures."""
     try:
         parts = make(chosen)
-    except BaskError as error:
-        parts = [{"title": "", "error": str(error)}]
+    except UNREADABLE as error:
+        parts = [{"title": "", "error": what_is_wrong(error)}]
     return {"name": name, "title": title, "parts": parts} if parts else None
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from bask_data.artifact import Artifact
 from bask_data.core.geometry import in_image, invert_rigid, project, scale_pixels, transform
 from bask_data.dataset import Dataset
-from bask_data.errors import BadData, BaskError
+from bask_data.errors import BadData
 from bask_data.kinds import (
     Correspondences,
     Demonstration,
@@ -78,8 +78,8 @@ class Chosen:
         for name in self.scenes:
             try:
                 value = measured.masks_figures(find(self.dataset, VisibleMasks, name), find_truth(self.dataset, name))
-            except BaskError as error:
-                value = {"error": str(error)}
+            except measured.UNREADABLE as error:
+                value = {"error": measured.what_is_wrong(error)}
             if value:
                 found[name] = value
         return found
@@ -104,8 +104,8 @@ def per_item(names: Sequence[str], part: Callable[[str], Part | None]) -> list[P
     for name in names:
         try:
             made = part(name)
-        except BaskError as error:
-            made = {"title": name, "error": str(error)}
+        except measured.UNREADABLE as error:
+            made = {"title": name, "error": measured.what_is_wrong(error)}
         if made:
             parts.append(made)
     return parts
@@ -205,7 +205,7 @@ def _headline(chosen: Chosen) -> list[tuple[str, str]]:
             continue
         try:
             found = measured.figures_of_track(scored)
-        except BaskError:
+        except measured.UNREADABLE:  # Its own section says so.
             continue
         where = name if variant == "main" else f"{name} ({variant})"
         rows.append((str(found["n_keypoints"]), f"keypoints tracked over {found['n_frames']} frames of {where}"))
@@ -222,7 +222,7 @@ def _readable(artifact: A | None) -> A | None:
         return None
     try:
         _ = artifact.metadata
-    except BaskError:
+    except measured.UNREADABLE:
         return None
     return artifact
 

@@ -92,7 +92,9 @@ def found(full: Dataset) -> dict:
 
 
 def test_a_full_dataset_has_every_section(full_html):
-    assert Page(full_html).sections == SECTIONS
+    page = Page(full_html)
+    assert page.sections == SECTIONS
+    assert "could not be read" not in page.text
 
 
 def test_the_page_loads_nothing_and_runs_nothing(full_html):
@@ -304,6 +306,22 @@ def test_a_broken_artifact_spoils_only_its_own_section(tmp_path):
     assert "This could not be read" in page.text
     assert page.sections == SECTIONS - {"training"}
     assert "error" in summarise(dataset)["masks"]["scan-a"]
+
+
+@pytest.mark.parametrize(("n_frames", "size"), [(3, (96, 128)), (5, (48, 64))])
+def test_labels_of_other_frames_than_the_track_s_are_not_held_against_it(tmp_path, n_frames, size):
+    dataset = filled_dataset(tmp_path / "d")
+    labels = np.full(size, LABELS[0], np.uint8)
+    publish_artifact(
+        dataset,
+        Truth,
+        "demo-a",
+        lambda out: Truth.write(out, {LABELS[0]: "stems"}, {"wrist": (n_frames, size, lambda i: labels)}),
+    )
+    assert "error" in summarise(dataset)["keypoints"]["main"]["demo-a"]
+    page = Page(write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8"))
+    assert "This could not be read" in page.text
+    assert page.sections == SECTIONS - {"training"}
 
 
 def test_a_broken_manifest_is_listed_as_such(tmp_path):
