@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bask_data.dataset import Dataset
+from bask_data.dataset import Dataset, Source
 from bask_data.kinds import Reconstruction, Scan
 from bask_data.stage import Outcome, make, plan
 from bask_data.stages.reconstruct import reconstruct
@@ -154,10 +156,47 @@ def test_all_cameras_of_a_scan_are_fused(tmp_path: Path) -> None:
                 read=lambda i, seen=seen, raw=raw: (seen[i].rgb, raw[i]),
             )
 
-    from bask_data.dataset import Source
-
     dataset.add("scene", "a", Source(format="test", path="none"))
     publish_artifact(dataset, Scan, "a", fill)
     quality = result(dataset).metadata.quality
     assert quality["frames"] == 9
     assert quality["frames_fused"] == 9
+
+
+PRINT_PEAK = """
+import sys
+from pathlib import Path
+from bask_data.kinds import Scan
+from bask_data.stages.reconstruct import ReconstructParams, reconstruct
+reconstruct(scan=Scan(Path(sys.argv[1])), params=ReconstructParams(voxel_size=0.006), out=Path(sys.argv[2]))
+# Not `getrusage`: a process inherits the peak of the one that started it.
+status = Path("/proc/self/status").read_text()
+print(status.split("VmHWM:")[1].split()[0])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads the peak from /proc")
+def test_peak_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
+    fine_K, cameras = intrinsics(240, 320), orbit(12, radius=0.5)
+    views = [SCENE.render(fine_K, camera, 240, 320) for camera in cameras]
+    peaks = []
+    for n_frames in (60, 300):
+        order = np.arange(n_frames) % 12
+        dataset = Dataset.create(tmp_path / str(n_frames))
+        path = publish_recording(
+            dataset,
+            "a",
+            rgb=[views[i].rgb for i in order],
+            depth=[views[i].depth for i in order],
+            K=fine_K,
+            world_from_cameras=cameras[order],
+        )
+        out = tmp_path / f"out-{n_frames}"
+        out.mkdir()
+        run = subprocess.run(
+            [sys.executable, "-c", PRINT_PEAK, str(path), str(out)], capture_output=True, text=True, check=True
+        )
+        peaks.append(int(run.stdout.split()[-1]))
+    # 240 more frames would be 130 MB; a process with Open3D begins at 250.
+    assert peaks[1] < 1.05 * peaks[0]
