@@ -97,7 +97,7 @@ def particle_step(
     depth there is nothing to draw from: the belief stays None and the estimate NaN. No camera at all is a frame without
     an observation.
 
-    Source: von Hartz et al. 2023, Sec. III-B, Eq. 1 and 8.
+    Source: von Hartz et al. 2023, Sec. III-B, Eq. 2 and 10.
     """
     rng = np.random.default_rng(0) if rng is None else rng
     if belief is None:
@@ -123,7 +123,7 @@ def move(
 ) -> Float[ndarray, "k n 3"]:
     """Particles after one frame: x + m_r + m_w G_t, with G_t the gripper's rigid motion, rotation included.
 
-    Source: von Hartz et al. 2023, Eq. 3.
+    Source: von Hartz et al. 2023, Eq. 4.
     """
     n = points_world.shape[1]
     walked = points_world + settings.walk * rng.standard_normal((n, 3))
@@ -151,7 +151,7 @@ def likelihood(
     (hidden or not, nobody knows) and p_d = 1. It says nothing of depth, and half of what it otherwise says of
     correspondence.
 
-    Source: von Hartz et al. 2023, Eq. 5 to 8.
+    Source: von Hartz et al. 2023, Eq. 6 to 10.
     """
     tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
     height, width = seen.depth.shape

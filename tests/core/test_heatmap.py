@@ -88,6 +88,16 @@ def test_at_an_edge_the_depth_is_that_of_the_side_the_heat_is_on_and_never_betwe
     np.testing.assert_allclose(estimate.mean[:, 2], [0.5, 2.0])
 
 
+def test_a_mean_that_falls_through_a_handle_gets_the_depth_of_the_handle() -> None:
+    depth = np.full((30, 40), 2.0, dtype=np.float32)
+    depth[:, 17:19] = depth[:, 22:24] = 0.5
+    distance = np.ones((1, 30, 40), dtype=np.float32)
+    distance[0, 14, [17, 18, 22, 23]] = 0.0
+    _, estimate = expectation_step(None, [seen(distance, depth)], settings=ExpectationSettings(50.0))
+    assert depth[14, round(estimate.pixel[0, 0, 0])] == 2.0
+    np.testing.assert_allclose(estimate.mean[0, 2], 0.5)
+
+
 def test_a_pixel_without_depth_borrows_it_from_its_neighbours() -> None:
     depth = np.full((30, 40), 0.7, dtype=np.float32)
     depth[12:17, 18:23] = 0
