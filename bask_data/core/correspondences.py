@@ -243,7 +243,7 @@ def match(
     agrees, the same instance is seen, and the way back by the depth of `b` ends within `max_cycle` pixels.
 
     Args:
-        n_attempts: pixels of `a` tried.
+        n_attempts: pixels of `a` tried at most; fewer when there are enough matches before.
         n_matches: kept at most.
         tolerance: (a, b): depths z agree within a + b z metres.
 
@@ -256,20 +256,32 @@ def match(
             f"{n_attempts}, {n_matches}"
         )
     tried = candidates(a, b, n_attempts, rng)
+    label = a.instance.reshape(-1)[tried]
+    # The instances in turn, so that an early end has tried equally many of each.
+    in_turn = np.argsort(np.arange(len(tried)) - np.searchsorted(label, label), kind="stable")
+    tried, label = tried[in_turn], label[in_turn]
+    present = np.unique(label)
     width = a.depth.shape[1]
     uv_a = np.stack([tried % width, tried // width], axis=1).astype(np.float64)
-    label = a.instance.reshape(-1)[tried]
-    uv_b, failed = follow(uv_a, label, a, b, tolerance, max_cycle)
+    uv_b, failed = np.zeros((0, 2)), np.zeros(0, np.int64)
+    for start in range(0, len(tried), 2 * n_matches):
+        some = slice(start, start + 2 * n_matches)
+        uv, why = follow(uv_a[some], label[some], a, b, tolerance, max_cycle)
+        uv_b, failed = np.concatenate([uv_b, uv]), np.concatenate([failed, why])
+        n_passed = np.bincount(label[: len(failed)][failed < 0], minlength=N_INSTANCES)[present]
+        if n_passed.min() * len(present) >= n_matches:
+            break
     passed = np.flatnonzero(failed < 0)
+    passed = passed[np.argsort(label[passed], kind="stable")]
     # Grouped by instance, and within one in random order, so the first ones are a fair draw.
-    of, begin, count = np.unique(label[passed], return_index=True, return_inverse=False, return_counts=True)
-    quota, start = np.zeros(N_INSTANCES, np.int64), np.zeros(N_INSTANCES, np.int64)
-    quota[of], start[of] = shares(count, n_matches), begin
-    rank = np.arange(len(passed)) - start[label[passed]]
+    of, begin, count = np.unique(label[passed], return_index=True, return_counts=True)
+    quota, offset = np.zeros(N_INSTANCES, np.int64), np.zeros(N_INSTANCES, np.int64)
+    quota[of], offset[of] = shares(count, n_matches), begin
+    rank = np.arange(len(passed)) - offset[label[passed]]
     kept = passed[rank < quota[label[passed]]]
     rejections = Counter({REJECTIONS[i]: int(n) for i, n in enumerate(np.bincount(failed[failed >= 0])) if n})
     rejections["more_than_asked"] += len(passed) - len(kept)
-    return Matches(label[kept], uv_a[kept].astype(np.float32), uv_b[kept].astype(np.float32), len(tried), rejections)
+    return Matches(label[kept], uv_a[kept].astype(np.float32), uv_b[kept].astype(np.float32), len(failed), rejections)
 
 
 def follow(
