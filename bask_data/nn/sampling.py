@@ -98,10 +98,9 @@ def _example(
     anchor = rng.choice(of_chosen)
     flipped = bool(rng.random() < augment.flip)
     images = []
-    for rgb, instance, uv in (
-        (pair.rgb_a, pair.instance_a, pair.uv_a),
-        (pair.rgb_b, pair.instance_b, pair.uv_b),
-    ):
+    both = [(pair.rgb_a, pair.instance_a, pair.uv_a), (pair.rgb_b, pair.instance_b, pair.uv_b)]
+    # Pairs are listed in one order, but matches are looked for from either side.
+    for rgb, instance, uv in both[:: rng.choice([1, -1])]:
         at = uv[anchor].astype(np.float64)
         out_from_in = random_affine(instance.shape, sample.size, at, flipped, augment, rng)
         images.append((*augmented(rgb, instance, out_from_in, sample.size, augment, rng), moved(out_from_in, uv)))

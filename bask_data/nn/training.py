@@ -85,7 +85,8 @@ def train_network(
     and ends with the same weights, to the bit on one machine and number of threads.
 
     Args:
-        state_folder: where the state is saved, and looked for at the start; the file is removed at the end.
+        state_folder: where the state is saved, and looked for at the start; `remove_state` takes it away when the
+            result is safe.
         steps: wraps the range of steps, to show progress.
     """
     optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
@@ -118,10 +119,8 @@ def train_network(
             curve += [(done, name, value) for name, value in validate(network).items()]
         # A state lies between two rows of the curve, or the sums would be part of it.
         due = done % settings.save_every < settings.log_every
-        if file is not None and due and done % settings.log_every == 0 and done < settings.steps:
+        if file is not None and ((due and done % settings.log_every == 0) or done == settings.steps):
             save_state(file, network, optimiser, done, curve)
-    if file is not None:
-        file.unlink(missing_ok=True)
     network.eval()
     return curve
 
@@ -204,6 +203,12 @@ def save_state(
     with written.open("rb") as handle:
         os.fsync(handle.fileno())
     written.replace(file)
+
+
+def remove_state(folder: Path) -> None:
+    """Take away what `save_state` wrote, half-written or whole."""
+    (folder / STATE).unlink(missing_ok=True)
+    (folder / STATE).with_suffix(".part").unlink(missing_ok=True)
 
 
 def load_state(file: Path, network: DescriptorNetwork, optimiser: torch.optim.Adam) -> tuple[int, list[CurveRow]]:

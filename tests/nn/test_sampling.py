@@ -54,7 +54,9 @@ def test_a_pair_is_of_one_instance_and_its_matches_are_the_given_ones():
         for i_pair in range(source.n_pairs):
             pair = source.pair(i_pair)
             known = np.concatenate([moved(affine, pair.uv_a), moved(affine, pair.uv_b)], axis=1)
+            swapped = np.abs(found[:, None] - known[None][..., [2, 3, 0, 1]]).max(axis=-1)
             distance = np.abs(found[:, None] - known[None]).max(axis=-1)
+            distance = distance if distance.min(axis=1).max() < swapped.min(axis=1).max() else swapped
             if (distance.min(axis=1) < 1e-3).all():
                 instances = pair.instance[distance.argmin(axis=1)]
                 assert len(np.unique(instances)) == 1

@@ -14,6 +14,7 @@ from bask_data.nn.training import (
     TrainingSettings,
     learning_rate,
     pixel_errors,
+    remove_state,
     train_network,
 )
 from tests.nn.pairs import ScenePairs
@@ -77,6 +78,13 @@ def test_an_interrupted_training_ends_with_the_bits_of_an_uninterrupted_one(tmp_
     assert curve == expected
     for name, value in weights(whole).items():
         assert torch.equal(value, weights(resumed)[name]), name
+    nothing_left = train_network(
+        new_network(), ScenePairs(), SAMPLE, AUGMENT, SETTINGS, state_folder=tmp_path, steps=steps
+    )
+    assert nothing_left == expected
+    assert numbers[-1] == 5, "a training that is done is not done again"
+    (tmp_path / "state.part").touch()
+    remove_state(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 

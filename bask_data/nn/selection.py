@@ -1,0 +1,89 @@
+"""Choosing keypoints by themselves: points that are found again in other views, spread over an object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+from numpy.random import Generator
+
+from bask_data.core.geometry import in_image, invert_rigid, project, scale_pixels, transform
+from bask_data.nn.network import distance_maps
+
+FOUND = 0.03
+"""Share of the image's diagonal within which a point counts as found again."""
+
+DEPTH_TOLERANCE = 0.015
+"""Metres a measured depth may differ from a point's and still show it."""
+
+
+@dataclass(frozen=True)
+class SelectionView:
+    """A frame candidates are looked for in; `descriptors` may be coarser than `depth`, both span the same image."""
+
+    descriptors: Float[torch.Tensor, "d hd wd"]
+    depth: Float[ndarray, "h w"]
+    K: Float[ndarray, "3 3"]
+    world_from_camera: Float[ndarray, "4 4"]
+
+
+def inner_pixels(
+    mask: Bool[ndarray, "h w"], depth: Float[ndarray, "h w"], border: float, n: int, rng: Generator
+) -> Float[ndarray, "m 2"]:
+    """Up to n pixels (u, v) with measured depth, more than `border` pixels inside of a mask and of the image."""
+    padded = np.pad(mask.astype(np.uint8), 1)
+    inside = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] > border
+    v, u = np.nonzero(inside & (depth > 0))
+    chosen = rng.permutation(len(u))[:n]
+    return np.stack([u[chosen], v[chosen]], axis=-1).astype(np.float64)
+
+
+def found_again(
+    points_world: Float[ndarray, "n 3"], descriptors: Float[torch.Tensor, "n d"], views: Sequence[SelectionView]
+) -> tuple[Float[ndarray, "n"], Int[ndarray, "n"]]:
+    """Share of the views showing a point in which its descriptor is best matched where it is, and their number.
+
+    Args:
+        views: other frames than those the descriptors are from.
+    """
+    hits, shown = np.zeros(len(points_world)), np.zeros(len(points_world), int)
+    for view in views:
+        height, width = view.depth.shape
+        uv, z = project(transform(invert_rigid(view.world_from_camera), points_world), view.K)
+        inside = in_image(uv, height, width)
+        column, row = np.rint(np.where(inside[:, None], uv, 0)).astype(int).T
+        column, row = column.clip(0, width - 1), row.clip(0, height - 1)
+        visible = inside & (np.abs(view.depth[row, column] - z) < DEPTH_TOLERANCE)
+        if not visible.any():
+            continue
+        distances = distance_maps(view.descriptors, descriptors[torch.from_numpy(np.flatnonzero(visible))])
+        best = distances.flatten(1).argmin(dim=1).cpu().numpy()
+        size = (distances.shape[1], distances.shape[2])
+        found = scale_pixels(np.stack([best % size[1], best // size[1]], axis=-1).astype(float), size, (height, width))
+        error = np.linalg.norm(found - uv[visible], axis=1) / np.hypot(height, width)
+        hits[visible] += error <= FOUND
+        shown[visible] += 1
+    return hits / np.maximum(shown, 1), shown
+
+
+def spread_out(points: Float[ndarray, "n 3"], share_found: Float[ndarray, "n"], n: int) -> Int[ndarray, "k"]:
+    """Indices of n points: of those found again best, each as far as can be from the ones before it.
+
+    Three times as many as asked for, or all, take part: enough to spread over an object, few enough to leave out its
+    worst places.
+    """
+    order = np.argsort(-share_found, kind="stable")
+    threshold = share_found[order[min(3 * n, len(order)) - 1]]
+    pool = np.flatnonzero(share_found >= threshold)
+    chosen = [int(pool[np.argmax(share_found[pool])])]
+    nearest = np.linalg.norm(points - points[chosen[0]], axis=1)
+    while len(chosen) < min(n, len(pool)):
+        best = int(pool[np.argmax(nearest[pool])])
+        chosen.append(best)
+        nearest = np.minimum(nearest, np.linalg.norm(points - points[best], axis=1))
+    return np.array(chosen)

@@ -1,0 +1,249 @@
+"""The keypoints to look for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from bask_data.errors import BadData, UsageError
+from bask_data.kinds import Camera, DescriptorNet, Pick, ReferenceKeypoints, Scan, VisibleMasks
+from bask_data.stage import Params, progress, stage
+
+if TYPE_CHECKING:
+    import numpy as np
+    import torch
+
+    from bask_data.nn.network import DescriptorNetwork
+    from bask_data.nn.selection import SelectionView
+
+N_VIEWS = 5
+"""Frames of an object that candidates are taken from, and looked for in."""
+
+N_CANDIDATES = 120
+"""Candidates from each of these frames, at least."""
+
+BORDERS = (0.02, 0.01, 0.0)
+"""Distances from a mask's edge, as shares of the image's height; the next is tried where an object is too slim."""
+
+
+class ReferenceParams(Params):
+    """How keypoints are chosen, or which they are."""
+
+    n: int = Field(16, ge=1, description="Number of keypoints, shared among the objects.")
+    seed: int = Field(0, ge=0, description="Seed of the candidates.")
+    scene: str | None = Field(None, description="Scene to take them from. Default: the first.")
+    instances: tuple[int, ...] = Field((), description="Objects to put them on, by number. Default: all of the scene.")
+    picks: tuple[str, ...] = Field(
+        (), description="Keypoints by hand instead, each scene:camera:frame:u:v or scene:camera:frame:u:v:name."
+    )
+
+
+@stage(makes=ReferenceKeypoints, version=1)
+def reference(
+    scans: list[Scan], masks: list[VisibleMasks], descriptor: DescriptorNet, params: ReferenceParams, out: Path
+) -> None:
+    """Choose reference keypoints and keep their descriptors.
+
+    By itself, it takes points that are found again in other views, spread over the objects, away from their edges and
+    with measured depth. Points by hand are given as --picks.
+    """
+    from bask_data.nn.network import load
+
+    network = load(descriptor.path)
+    by_name = {scan.path.name: (scan, mask) for scan, mask in zip(scans, masks, strict=True)}
+    if params.picks:
+        picks, descriptors = _picked(params, by_name, network)
+    else:
+        name = params.scene or next(iter(by_name))
+        if name not in by_name:
+            raise UsageError("reference", "scene", expected=f"one of {', '.join(by_name)}", got=name)
+        picks, descriptors = _chosen(params, name, *by_name[name], network)
+    ReferenceKeypoints.write(out, descriptors=descriptors, picks=picks)
+
+
+def _picked(
+    params: ReferenceParams, by_name: dict[str, tuple[Scan, VisibleMasks]], network: DescriptorNetwork
+) -> tuple[list[Pick], np.ndarray]:
+    import numpy as np
+
+    picks: list[Pick] = []
+    descriptors: list[np.ndarray] = []
+    for i, text in enumerate(params.picks):
+        pick, camera = _parsed(text, f"point_{i}", by_name)
+        uv = np.array([[pick.u, pick.v]], dtype=np.float32)
+        descriptors.append(network.descriptors_at(camera.rgb(pick.frame), uv)[0].cpu().numpy())
+        column, row = round(pick.u), round(pick.v)
+        depth = float(camera.depth(pick.frame)[row, column])
+        label = int(by_name[pick.recording][1].camera(pick.camera).instance(pick.frame)[row, column])
+        point = _lifted(camera, pick.frame, uv, np.array([depth]))[0] if depth > 0 else None
+        known = {"instance": label, "point_world": None if point is None else tuple(point.tolist())}
+        if any(pick.name == other.name for other in picks):
+            raise UsageError("reference", "picks", expected="names that differ", got=f"{pick.name} twice")
+        picks.append(pick.model_copy(update=known))
+    return picks, np.stack(descriptors)
+
+
+def _parsed(text: str, name: str, by_name: dict[str, tuple[Scan, VisibleMasks]]) -> tuple[Pick, Camera]:
+    parts = text.split(":")
+    if len(parts) not in (5, 6):
+        raise UsageError(
+            "reference", "picks", expected="scene:camera:frame:u:v or scene:camera:frame:u:v:name", got=text
+        )
+    scene, camera_name = parts[:2]
+    if scene not in by_name:
+        raise UsageError("reference", "picks", expected=f"one of the scenes {', '.join(by_name)}", got=text)
+    cameras = by_name[scene][0].camera_names
+    if camera_name not in cameras:
+        raise UsageError("reference", "picks", expected=f"one of the cameras {', '.join(cameras)}", got=text)
+    camera = by_name[scene][0].camera(camera_name)
+    try:
+        frame, u, v = int(parts[2]), float(parts[3]), float(parts[4])
+    except ValueError as error:
+        raise UsageError("reference", "picks", expected="numbers for frame, u and v", got=text) from error
+    inside = 0 <= frame < camera.n_frames and -0.5 <= u < camera.width - 0.5 and -0.5 <= v < camera.height - 0.5
+    if not inside:
+        size = f"frame 0..{camera.n_frames - 1}, u 0..{camera.width - 1}, v 0..{camera.height - 1}"
+        raise UsageError("reference", "picks", expected=size, got=text)
+    name = parts[5] if len(parts) == 6 else name
+    return Pick(name=name, recording=scene, camera=camera_name, frame=frame, u=u, v=v), camera
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """Points of one object, row by row, and where each is from."""
+
+    frames: list[tuple[Camera, int]]
+    i_frame: np.ndarray
+    uv: np.ndarray
+    points_world: np.ndarray
+    descriptors: torch.Tensor
+
+
+def _chosen(
+    params: ReferenceParams, scene: str, scan: Scan, masks: VisibleMasks, network: DescriptorNetwork
+) -> tuple[list[Pick], np.ndarray]:
+    import numpy as np
+
+    instances = params.instances or tuple(range(1, masks.n_instances + 1))
+    unknown = [i for i in instances if not 1 <= i <= masks.n_instances]
+    if unknown or not instances:
+        raise UsageError(
+            "reference", "instances", expected=f"objects of {scene}, 1..{masks.n_instances}", got=str(unknown)
+        )
+    picks, descriptors = [], []
+    for order, instance in enumerate(progress(instances, "choosing keypoints")):
+        # The first objects get one more where the number does not divide evenly.
+        n = params.n // len(instances) + (order < params.n % len(instances))
+        if n == 0:
+            continue
+        found, chosen = _of_instance(instance, n, scan, masks, network, params.seed)
+        for i, row in enumerate(chosen):
+            camera, i_frame = found.frames[found.i_frame[row]]
+            u, v = found.uv[row].tolist()
+            x, y, z = found.points_world[row].tolist()
+            where = {"recording": scene, "camera": camera.name, "frame": i_frame, "u": u, "v": v}
+            picks.append(Pick(name=f"object_{instance}_{i}", instance=instance, point_world=(x, y, z), **where))
+            descriptors.append(found.descriptors[row].cpu().numpy())
+    return picks, np.stack(descriptors)
+
+
+def _of_instance(
+    instance: int, n: int, scan: Scan, masks: VisibleMasks, network: DescriptorNetwork, seed: int
+) -> tuple[_Candidates, np.ndarray]:
+    """Candidates on an object, and which n of them to take."""
+    import numpy as np
+
+    from bask_data.nn.selection import found_again, spread_out
+
+    frames = _best_frames(instance, scan, masks)
+    views = [_view(camera, i_frame, network) for camera, i_frame in frames]
+    for border in BORDERS:
+        rng = np.random.default_rng((seed, instance))
+        candidates = _candidates(instance, frames, masks, network, border, max(N_CANDIDATES, 2 * n), rng)
+        if len(candidates.uv) >= n:
+            break
+    else:
+        raise BadData(
+            masks.path,
+            f"instance {instance}",
+            expected=f"{n} pixels with measured depth",
+            got=len(candidates.uv),
+            fix="ask for fewer (--n) or for other --instances.",
+        )
+    share_found = np.zeros(len(candidates.uv))
+    for i_view in range(len(frames)):
+        mine = np.flatnonzero(candidates.i_frame == i_view)
+        others = [view for i, view in enumerate(views) if i != i_view]
+        if len(mine) and others:
+            share_found[mine], _ = found_again(candidates.points_world[mine], candidates.descriptors[mine], others)
+    return candidates, spread_out(candidates.points_world, share_found, n)
+
+
+def _best_frames(instance: int, scan: Scan, masks: VisibleMasks) -> list[tuple[Camera, int]]:
+    """Frames that show most of the object, by its visible pixels and the share of it that is visible."""
+    import numpy as np
+
+    scored = []
+    for camera in scan.cameras:
+        labels = masks.camera(camera.name)
+        fraction = np.nan_to_num(labels.visible_fraction[:, instance - 1])
+        # The few with the largest share are enough to compare in pixels.
+        for i_frame in np.argsort(-fraction, kind="stable")[: 6 * N_VIEWS]:
+            area = int((labels.instance(int(i_frame)) == instance).sum())
+            scored.append((float(fraction[i_frame]) * area, camera, int(i_frame)))
+    scored = sorted((one for one in scored if one[0] > 0), key=lambda one: -one[0])
+    # Every second of the best, so that not all are neighbours in time.
+    best = scored[: 2 * N_VIEWS]
+    return [(camera, i_frame) for _, camera, i_frame in (best[::2] if len(best) == 2 * N_VIEWS else best[:N_VIEWS])]
+
+
+def _candidates(
+    instance: int,
+    frames: list[tuple[Camera, int]],
+    masks: VisibleMasks,
+    network: DescriptorNetwork,
+    border: float,
+    n: int,
+    rng: np.random.Generator,
+) -> _Candidates:
+    import numpy as np
+    import torch
+
+    from bask_data.nn.selection import inner_pixels
+
+    i_frames, pixels, points, descriptors = [], [np.empty((0, 2))], [np.empty((0, 3))], []
+    for i, (camera, i_frame) in enumerate(frames):
+        depth = camera.depth(i_frame)
+        mask = masks.camera(camera.name).instance(i_frame) == instance
+        uv = inner_pixels(mask, depth, border * camera.height, n, rng)
+        column, row = uv.astype(int).T
+        i_frames += [i] * len(uv)
+        pixels.append(uv)
+        points.append(_lifted(camera, i_frame, uv, depth[row, column]))
+        descriptors.append(network.descriptors_at(camera.rgb(i_frame), uv.astype(np.float32)))
+    joined = torch.cat(descriptors) if descriptors else torch.empty(0, network.settings.descriptor_dim)
+    return _Candidates(frames, np.array(i_frames, int), np.concatenate(pixels), np.concatenate(points), joined)
+
+
+def _view(camera: Camera, i_frame: int, network: DescriptorNetwork) -> SelectionView:
+    from bask_data.nn.selection import SelectionView
+
+    return SelectionView(
+        descriptors=network.describe(camera.rgb(i_frame)),
+        depth=camera.depth(i_frame),
+        K=camera.K,
+        world_from_camera=camera.world_from_cameras[i_frame],
+    )
+
+
+def _lifted(camera: Camera, i_frame: int, uv: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """World points of pixels at measured depths."""
+    import numpy as np
+
+    from bask_data.core.geometry import transform, unproject
+
+    points_camera = unproject(uv.astype(np.float64), depth.astype(np.float64), camera.K)
+    return transform(camera.world_from_cameras[i_frame], points_camera)
