@@ -14,8 +14,8 @@ HEIGHT, WIDTH = 72, 96
 PARAMS = {
     "reconstruct": {"voxel_size": 0.008},
     "correspondences": {"n_pairs": 6, "n_matches": 40},
-    "train": {"backbone": "resnet18", "descriptor_dim": 4, "steps": 2, "image_size": 64},
-    "reference": {"n_keypoints": 3},
+    "train": {"descriptor_dim": 4, "image_height": 48, "steps": 2, "matches": 16, "pairs_per_step": 1},
+    "reference": {"n": 3},
     "encode": {"n_particles": 50},
 }
 
