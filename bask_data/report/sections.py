@@ -681,9 +681,10 @@ def _heat_part(
     # As the filter resolves it when it is not given.
     given = track.manifest.params.get("alpha") if track else None
     alpha = float(given or (20.0 if track and track.metadata.filter == "expectation" else 4.0))
-    indices = _one_of_each_object(reference.picks)
     camera = demonstration.cameras[0]
     scored = TrackScores(chosen.dataset, name, variant) if track else None
+    absent = [_absent(scored, pick.name) for pick in reference.picks]
+    indices = _one_of_each_object(reference.picks, absent)
     frames = spread_frames(camera.n_frames, N_HEAT_FRAMES)
     colours = draw.palette(len(reference.picks))
     rows: list[Part] = [
@@ -692,6 +693,7 @@ def _heat_part(
             "name": reference.picks[i].name,
             "colour": draw.css(colours[i]),
             "crop": _crop(chosen.dataset, reference.picks[i]),
+            "absent": absent[i],
             "tiles": [],
         }
         for i in indices
@@ -720,14 +722,22 @@ def _heat_part(
     }
 
 
-def _one_of_each_object(picks: Sequence[Pick]) -> list[int]:
-    """A few keypoints, taking turns between the objects they were picked on."""
+def _absent(scored: TrackScores | None, name: str) -> bool:
+    """Whether the labels say that a keypoint's object is not in the demonstration at all."""
+    if scored is None or scored.truth is None or name not in scored.track.names:
+        return False
+    label = scored.known[scored.track.names.index(name)].label
+    return label > 0 and label not in scored.truth.label_names
+
+
+def _one_of_each_object(picks: Sequence[Pick], absent: Sequence[bool]) -> list[int]:
+    """A few keypoints, taking turns between the objects they were picked on; those that cannot be found come last."""
     turns: dict[int, int] = {}
     order = []
     for i, pick in enumerate(picks):
         turns[pick.instance] = turns.get(pick.instance, 0) + 1
-        order.append((turns[pick.instance], i))
-    return sorted(i for _, i in sorted(order)[:N_HEATED])
+        order.append((absent[i], turns[pick.instance], i))
+    return sorted(i for _, _, i in sorted(order)[:N_HEATED])
 
 
 def _crop(dataset: Dataset, pick: Pick) -> str:

@@ -324,6 +324,22 @@ def test_labels_of_other_frames_than_the_track_s_are_not_held_against_it(tmp_pat
     assert page.sections == SECTIONS - {"training"}
 
 
+def test_heat_maps_are_of_keypoints_whose_object_is_there(tmp_path, monkeypatch):
+    monkeypatch.setattr("bask_data.report.sections.N_HEATED", 1)
+    dataset = filled_dataset(tmp_path / "d")
+    publish_network(dataset)
+    seen = make_views(0.8, 5)
+    publish_artifact(
+        dataset,
+        Truth,
+        "demo-a",
+        lambda out: Truth.write(out, {LABELS[1]: "tissue box"}, {"wrist": (5, (96, 128), seen.labels)}),
+    )
+    html = write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8")
+    assert html.count('alt="heat map of side, frame') == 4
+    assert 'alt="heat map of corner' not in html
+
+
 def test_a_broken_manifest_is_listed_as_such(tmp_path):
     dataset = filled_dataset(tmp_path / "d")
     (dataset.path(Truth, "scan-a") / MANIFEST).write_text("{")
