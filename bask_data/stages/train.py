@@ -75,7 +75,7 @@ class TrainParams(Params):
     rotation_deg: float = Field(20.0, ge=0, le=180, description="Largest rotation of an image, degrees.")
     flip: float = Field(0.0, ge=0, le=1, description="Probability that a pair is mirrored.")
     background: float = Field(
-        0.5, ge=0, le=1, description="Probability that everything off the objects is painted over."
+        0.3, ge=0, le=1, description="Probability that everything off the objects is painted over."
     )
     colour: float = Field(
         0.5, ge=0, description="Largest change of brightness, contrast and saturation, as a logarithm."
