@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from bask_data.dataset import DATASET, Dataset, Source
-from bask_data.kinds import Demonstration, Scan
+from bask_data.kinds import KINDS, Demonstration, Scan
 from bask_data.stage import Config, Stage, Task, plan, resolve
 
 _HEADER = "# Written by `bask-data dvc`; change params.yaml or dataset.json, then run it again.\n"
@@ -37,8 +37,17 @@ def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[st
     return {
         "dvc.yaml": _HEADER + text,
         "params.yaml": params_text(stages, config),
-        ".gitignore": "/.scratch/\n/provenance/\n",
+        ".gitignore": _gitignore(),
     }
+
+
+def _gitignore() -> str:
+    """Artifacts are DVC's, git keeps the groups above them: a clone opens with any Zarr reader before `dvc pull`."""
+    lines = ["/.scratch/", "/provenance/", "/report.html"]
+    for kind in KINDS:
+        below = "/*" if kind.has_variants and kind.scope != "dataset" else ""
+        lines.append(f"/{kind.kind}{below}/*/")
+    return "\n".join(lines) + "\n"
 
 
 def params_text(stages: Iterable[Stage], config: Config) -> str:
