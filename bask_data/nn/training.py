@@ -61,7 +61,7 @@ class TrainingSettings:
     frozen_batch_norm: bool = False
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     validate_every: int = 500
-    save_every: int = 200
+    save_every: int = 100
     log_every: int = 20
 
 
