@@ -8,12 +8,13 @@ other scenes stale.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable
 from typing import Any
 
 from bask_data.dataset import DATASET, Dataset, Source
 from bask_data.kinds import KINDS, Demonstration, Scan
-from bask_data.stage import Config, Stage, Task, plan, resolve
+from bask_data.stage import Config, Stage, Task, parameter_files, plan, resolve
 
 _HEADER = "# Written by `bask-data dvc`; change params.yaml or dataset.json, then run it again.\n"
 _PARAMS_HEADER = "# Parameters of every stage. A section `stage@name` holds what differs for one item or variant.\n"
@@ -110,7 +111,8 @@ def _stage(dataset: Dataset, task: Task, config: Config) -> dict[str, Any]:
     described: dict[str, Any] = {
         "desc": stage.help.splitlines()[0],
         "cmd": " ".join(words),
-        "deps": [path.relative_to(dataset.root).as_posix() for path in inputs],
+        "deps": [path.relative_to(dataset.root).as_posix() for path in inputs]
+        + [os.path.relpath(path, dataset.root) for path in parameter_files(task).values()],
     }
     if params:
         described["params"] = params

@@ -34,6 +34,7 @@ from bask_data.artifact import (
     Artifact,
     Manifest,
     digest_of,
+    file_digest,
     new_scratch,
     publish,
     read_manifest,
@@ -320,7 +321,26 @@ def key_parts(task: Task) -> dict[str, Any]:
     }
     if task.stage.wants_splits:
         parts["splits"] = task.splits.model_dump(mode="json")
-    return parts
+    files = {name: file_digest(path) for name, path in parameter_files(task).items()}
+    return {**parts, "files": files} if files else parts
+
+
+def parameter_files(task: Task) -> dict[str, Path]:
+    """Files that parameters name, by parameter: what they hold is part of the key.
+
+    Such a field is declared with `json_schema_extra={"file": True}`.
+
+    Raises:
+        UsageError: a file does not exist.
+    """
+    found = {}
+    for name, field in task.stage.params.model_fields.items():
+        value = getattr(task.params, name)
+        if isinstance(field.json_schema_extra, dict) and field.json_schema_extra.get("file") and value:
+            found[name] = Path(value)
+            if not found[name].is_file():
+                raise UsageError(task.stage.name, name, expected="a file", got=str(value), fix="check the path.")
+    return found
 
 
 def state_of(task: Task) -> State:
@@ -356,7 +376,10 @@ def _difference(manifest: Manifest, parts: dict[str, Any]) -> str:
         )
     paths = {*manifest.inputs, *parts["inputs"]}
     moved = sorted(path for path in paths if manifest.inputs.get(path) != parts["inputs"].get(path))
-    return "changed: " + ", ".join(moved) if moved else "changed: splits"
+    if moved:
+        return "changed: " + ", ".join(moved)
+    # What is left is in the key alone: the splits, or the content of a file that a parameter names.
+    return "changed: " + " or ".join(name for name in ("splits", "files") if name in parts)
 
 
 def make(task: Task, force: bool = False) -> Outcome:

@@ -21,7 +21,12 @@ def written(tmp_path: Path, text: str) -> Path:
 def test_order_is_option_then_set_then_item_then_stage_then_default(tmp_path: Path) -> None:
     file = written(tmp_path, "fuse: {voxel_size: 1, ignored: 1}\nfuse@a: {voxel_size: 2}\n")
     config = load_config(file, [], STAGES)
-    assert resolve(fuse, config, "b", "main", {}).model_dump() == {"voxel_size": 1, "fail": "", "ignored": 1}
+    assert resolve(fuse, config, "b", "main", {}).model_dump() == {
+        "voxel_size": 1,
+        "fail": "",
+        "ignored": 1,
+        "file": None,
+    }
     assert resolve(fuse, config, "a", "main", {}).model_dump()["voxel_size"] == 2
     config = load_config(file, ["fuse@a.voxel_size=3"], STAGES)
     assert resolve(fuse, config, "a", "main", {}).model_dump()["voxel_size"] == 3
@@ -32,7 +37,7 @@ def test_order_is_option_then_set_then_item_then_stage_then_default(tmp_path: Pa
     ("text", "message"),
     [
         ("fusing: {}", "fusing: expected one of fuse, pick, got fusing"),
-        ("fuse: {voxel: 1}", "fuse.voxel: expected one of voxel_size, fail, ignored, got voxel"),
+        ("fuse: {voxel: 1}", "fuse.voxel: expected one of voxel_size, fail, ignored, file, got voxel"),
     ],
 )
 def test_unknown_names_are_refused_with_the_choices(tmp_path: Path, text: str, message: str) -> None:

@@ -14,7 +14,7 @@ from bask_data.artifact import read_manifest
 from bask_data.dataset import Dataset, Splits, Variant
 from bask_data.errors import UsageError
 from bask_data.kinds import DescriptorNet, Reconstruction
-from bask_data.stage import Outcome, Stage, in_order, make, plan, run, state_of
+from bask_data.stage import Outcome, Stage, State, in_order, make, plan, run, state_of
 from tests.datasets import publish_recording
 from tests.toy_stages import fuse, learn, pick
 
@@ -89,6 +89,20 @@ def test_new_stage_version_makes_the_old_artifact_stale(dataset: Dataset) -> Non
     older = json.loads(manifest.model_dump_json()) | {"stage_version": 0, "key": "0" * 64}
     (task.target / "artifact.json").write_text(json.dumps(older))
     assert state_of(task).why == "made by version 0 of the stage, this is 1"
+
+
+def test_content_of_a_file_that_a_parameter_names_is_part_of_the_key(dataset: Dataset, tmp_path: Path) -> None:
+    file = tmp_path / "weights"
+    file.write_text("one")
+    assert statuses(dataset, fuse, options={"file": str(file)}) == ["made", "made"]
+    assert statuses(dataset, fuse, options={"file": str(file)}) == ["up to date", "up to date"]
+    file.write_text("two")
+    [task, _] = plan(dataset, fuse, options={"file": str(file)})
+    assert state_of(task) == State("stale", "changed: files")
+    file.unlink()
+    outcome = make(task)
+    assert outcome.status == "failed"
+    assert "fuse: file: expected a file, got" in outcome.why
 
 
 def test_missing_input_blocks_and_names_it(dataset: Dataset) -> None:
@@ -185,7 +199,7 @@ def test_unknown_item_is_refused_with_the_choices(dataset: Dataset) -> None:
     ("options", "message"),
     [
         ({"voxel_size": -1}, "fuse: voxel_size: expected Input should be greater than 0, got -1"),
-        ({"voxel": 1}, "fuse: voxel: .* fix: one of voxel_size, fail, ignored."),
+        ({"voxel": 1}, "fuse: voxel: .* fix: one of voxel_size, fail, ignored, file."),
     ],
 )
 def test_wrong_parameters_are_refused(dataset: Dataset, options: dict[str, object], message: str) -> None:

@@ -18,6 +18,7 @@ class FuseParams(Params):
     voxel_size: float = Field(0.1, gt=0, description="Edge of a voxel, metres.")
     fail: str = Field("", description="Text of an error to raise.")
     ignored: int = Field(0, description="Changes the key, but not the result.")
+    file: str | None = Field(None, description="A file that is read.", json_schema_extra={"file": True})
 
 
 @stage(makes=Reconstruction, version=1)

@@ -32,6 +32,7 @@ class TrainParams(Params):
     weights: str | None = Field(
         None,
         description="File of pretrained weights under torchvision's names (.pth or .safetensors). Default: random.",
+        json_schema_extra={"file": True},
     )
     image_height: int = Field(
         120, ge=16, multiple_of=8, description="Height images are resized to for the network, pixels."
