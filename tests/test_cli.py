@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+import bask_data.core
 from bask_data.cli import app
 from bask_data.dataset import Dataset
 from bask_data.kinds import Scan
@@ -90,7 +91,9 @@ def test_interrupt_leaves_with_130_and_says_how_to_go_on(dataset: Dataset, monke
 
 def test_library_that_does_not_load_leaves_with_5(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
+    # An earlier test may have loaded it already: both the module and the package's name for it have to go.
     monkeypatch.delitem(sys.modules, "bask_data.core.tsdf", raising=False)
+    monkeypatch.delattr(bask_data.core, "tsdf", raising=False)
     ended = cli("reconstruct", dataset.root)
     assert ended.exit_code == 5
     assert "fix: bask-data doctor" in ended.stderr
