@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -207,9 +208,17 @@ def save_state(
 
 
 def remove_state(folder: Path) -> None:
-    """Take away what `save_state` wrote, half-written or whole."""
+    """Take away what `save_state` wrote."""
     (folder / STATE).unlink(missing_ok=True)
-    (folder / STATE).with_suffix(".part").unlink(missing_ok=True)
+
+
+def remove_all_but_state(folder: Path) -> None:
+    """Take away what a killed training left half-written, other libraries' temporary files among it."""
+    for left in folder.iterdir():
+        if left.is_dir():
+            shutil.rmtree(left)
+        elif left.name != STATE:
+            left.unlink()
 
 
 def load_state(file: Path, network: DescriptorNetwork, optimiser: torch.optim.Adam) -> tuple[int, list[CurveRow]]:

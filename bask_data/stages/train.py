@@ -116,6 +116,7 @@ def train(
 
     if not 0 < params.zoom[0] <= params.zoom[1]:
         raise UsageError("train", "zoom", expected="0 < smallest <= largest", got=f"{params.zoom[0]},{params.zoom[1]}")
+    training.remove_all_but_state(out)
     network = _network(params).to(best_device())
     everything = [ScanPairs(*inputs) for inputs in zip(scans, masks, correspondences, strict=True)]
     learned, held_out, validated_on = _divided(everything, splits, params.held_out)

@@ -14,6 +14,7 @@ from bask_data.nn.training import (
     TrainingSettings,
     learning_rate,
     pixel_errors,
+    remove_all_but_state,
     remove_state,
     train_network,
 )
@@ -83,7 +84,10 @@ def test_an_interrupted_training_ends_with_the_bits_of_an_uninterrupted_one(tmp_
     )
     assert nothing_left == expected
     assert numbers[-1] == 5, "a training that is done is not done again"
-    (tmp_path / "state.part").touch()
+    for left in ("state.part", ".tmpqWgRll"):
+        (tmp_path / left).touch()
+    remove_all_but_state(tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == [STATE]
     remove_state(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
