@@ -432,18 +432,21 @@ def run_all(
         raise UsageError(root, "--only", expected=f"one of {known}", got=", ".join(unknown))
     if not dataset.items("recording"):
         raise UsageError(root, "", expected="a recording", got="none in the dataset", fix="bask-data ingest --help")
+    planned = []
+    for stage in STAGES:
+        items = [name for name in names if name in dataset.items(stage.makes.scope)]
+        if names and stage.makes.scope != "dataset" and not items:
+            continue
+        for variant in dataset.variants(stage.makes):
+            planned.append(plan(dataset, stage, config=parameters, only=items, variant=variant))
+    # All are planned before any is made: a bad parameter of a late stage must not cost the time of the first.
     outcomes: list[Outcome] = []
     with shown_progress(), _executor(jobs, cluster) as executor:
-        for stage in STAGES:
-            items = [name for name in names if name in dataset.items(stage.makes.scope)]
-            if names and stage.makes.scope != "dataset" and not items:
-                continue
-            for variant in dataset.variants(stage.makes):
-                tasks = plan(dataset, stage, config=parameters, only=items, variant=variant)
-                for outcome in run(tasks, executor=executor, force=force, dry_run=dry_run):
-                    show_outcome(outcome)
-                    _show_warnings(outcome)
-                    outcomes.append(outcome)
+        for tasks in planned:
+            for outcome in run(tasks, executor=executor, force=force, dry_run=dry_run):
+                show_outcome(outcome)
+                _show_warnings(outcome)
+                outcomes.append(outcome)
     _finish("run", outcomes, json_, f"bask-data report {root}")
 
 

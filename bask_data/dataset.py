@@ -91,8 +91,10 @@ class Dataset:
         for name in [*self.file.scenes, *self.file.demonstrations]:
             check_name(name, file)
         for kind, variants in self.file.variants.items():
-            for name in variants:
+            for name, variant in variants.items():
                 check_name(name, file)
+                for of_input in variant.inputs.values():
+                    check_name(of_input, file)
             check_name(kind, file)
 
     @staticmethod

@@ -41,7 +41,7 @@ from bask_data.artifact import (
     seal,
     write_json_atomically,
 )
-from bask_data.dataset import Dataset, Splits, Variant
+from bask_data.dataset import Dataset, Splits, Variant, check_name
 from bask_data.errors import BadData, BaskError, UsageError
 from bask_data.params import Params
 from bask_data.progress import progress, report
@@ -269,6 +269,9 @@ def plan(
         )
     recorded = dataset.variants(makes).get(variant, Variant()).inputs
     chosen = {**recorded, **(variant_inputs or {})}
+    # They become names of folders, and what stands in a target's place is replaced.
+    for name in (variant, *chosen.values()):
+        check_name(name, dataset.root)
     tasks = []
     for item in items:
         if only and makes.scope != "dataset" and item not in only:

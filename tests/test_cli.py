@@ -152,3 +152,21 @@ def test_split_is_recorded(dataset: Dataset) -> None:
     assert cli("split", dataset.root, "--train", "a", "--validation", "b").exit_code == 0
     assert Dataset(dataset.root).file.splits.validation == ("b",)
     assert np.array_equal(Dataset(dataset.root).items("scene"), ["a", "b"])
+
+
+@pytest.mark.parametrize("option", ["--variant", "--descriptor"])
+def test_variant_that_leads_out_of_the_dataset_touches_nothing(dataset: Dataset, option: str) -> None:
+    precious = dataset.root.parent / "victim" / "file"
+    precious.parent.mkdir()
+    precious.touch()
+    ended = cli("reference", dataset.root, option, "../../victim")
+    assert ended.exit_code == 2
+    assert "got '../../victim'" in ended.stderr
+    assert list(precious.parent.iterdir()) == [precious]
+
+
+def test_bad_value_for_a_late_stage_is_refused_before_the_first_runs(dataset: Dataset) -> None:
+    ended = cli("run", dataset.root, "--set", "train.steps=many")
+    assert ended.exit_code == 2
+    assert "train: steps: expected Input should be a valid integer" in ended.stderr
+    assert not (dataset.root / "reconstruction").exists()

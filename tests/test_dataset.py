@@ -54,6 +54,15 @@ def test_names_in_a_strangers_dataset_file_are_checked(tmp_path: Path, field: st
         Dataset(tmp_path)
 
 
+def test_variants_of_inputs_in_a_strangers_dataset_file_are_checked(tmp_path: Path) -> None:
+    Dataset.create(tmp_path)
+    document = json.loads((tmp_path / "dataset.json").read_text())
+    document["variants"] = {"reference": {"fine": {"inputs": {"descriptor": "../../etc"}}}}
+    (tmp_path / "dataset.json").write_text(json.dumps(document))
+    with pytest.raises(UsageError, match=r"got '\.\./\.\./etc'"):
+        Dataset(tmp_path)
+
+
 def test_unknown_field_in_the_dataset_file_is_named(tmp_path: Path) -> None:
     Dataset.create(tmp_path)
     document = json.loads((tmp_path / "dataset.json").read_text()) | {"colour": 1}

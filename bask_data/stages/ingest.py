@@ -55,6 +55,10 @@ def ingest(
     if target.exists() and not force:
         if read_manifest(target).key == key:
             digest = read_manifest(target).digest
+            # A kill between publishing and listing leaves a recording that no command would look at.
+            dataset = Dataset.open_or_create(root)
+            if item not in dataset.items(makes.scope):
+                _enter(dataset, item, format, source, options, makes, read)
             return [
                 Outcome(
                     f"ingest {makes.kind} {item}", makes.kind, item, "main", str(target), "up to date", digest=digest
@@ -71,7 +75,8 @@ def ingest(
     try:
         return _write(root, item, format, source, options, makes, read, key), read.assumptions
     except BaseException:
-        if is_new:
+        # Another process may have ingested into the same new directory meanwhile.
+        if is_new and not ((root / DATASET).exists() and Dataset(root).items("recording")):
             shutil.rmtree(root, ignore_errors=True)
         raise
 
@@ -127,10 +132,26 @@ def _write(
                 manifest.digest,
             )
         )
-    path = os.path.relpath(source.resolve(), root.resolve())
+    _enter(dataset, item, format, source, options, makes, read)
+    return outcomes[::-1]
+
+
+def _enter(
+    dataset: Dataset,
+    item: str,
+    format: Format,
+    source: Path,
+    options: Params,
+    makes: type[Recording],
+    read: recording.Recording,
+) -> None:
+    """List a published recording."""
+    if not any(camera.labels for camera in read.cameras):
+        # Labels of a recording that this one replaced would be taken for its truth.
+        shutil.rmtree(dataset.path(Truth, item), ignore_errors=True)
+    path = os.path.relpath(source.resolve(), dataset.root.resolve())
     given = options.model_dump(mode="json", exclude_defaults=True)
     dataset.add(makes.scope, item, Source(format=format.name, path=path, options=given))
-    return outcomes[::-1]
 
 
 def _refuse_other_scope(dataset: Dataset, makes: type[Recording], item: str) -> None:

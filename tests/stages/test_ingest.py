@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -83,6 +84,41 @@ def test_name_of_a_demonstration_is_refused_for_a_scan(source: Path, tmp_path: P
     assert Demonstration(tmp_path / "d" / "demonstration" / "table").robot is None
     with pytest.raises(UsageError, match="got the name of a demonstration"):
         frames(source, tmp_path / "d", kind="scan")
+
+
+def test_recording_that_a_kill_left_unlisted_is_listed_by_the_same_command(source: Path, tmp_path: Path) -> None:
+    frames(source, tmp_path / "d")
+    listed = (tmp_path / "d" / "dataset.json").read_text()
+    document = json.loads(listed)
+    document["scenes"] = {}
+    (tmp_path / "d" / "dataset.json").write_text(json.dumps(document))
+    assert frames(source, tmp_path / "d") == ["up to date"]
+    assert (tmp_path / "d" / "dataset.json").read_text() == listed
+
+
+def test_truth_goes_with_the_recording_it_was_of(source: Path, tmp_path: Path) -> None:
+    format = FORMAT["apc"]
+    ingest(tmp_path / "d", "table", format=format, source=DATASETS / "apc_shelf", options=format.options())
+    assert (tmp_path / "d" / "truth" / "table").exists()
+    frames(source, tmp_path / "d", force=True)
+    assert not (tmp_path / "d" / "truth" / "table").exists()
+
+
+def test_failed_ingest_keeps_what_another_process_put_into_the_new_dataset(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def meanwhile(*_: object) -> None:
+        monkeypatch.undo()
+        format = FORMAT["frames"]
+        options = format.options(intrinsics="5,5,2.5,1.5", camera="wrist")
+        ingest(tmp_path / "d", "other", format=format, source=source, options=options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bask_data.stages.ingest._write", meanwhile)
+    with pytest.raises(KeyboardInterrupt):
+        frames(source, tmp_path / "d")
+    assert Dataset(tmp_path / "d").items("scene") == ["other"]
+    assert validate(Dataset(tmp_path / "d")) == []
 
 
 def all_invalid(source: Path) -> None:
