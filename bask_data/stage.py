@@ -401,6 +401,14 @@ def make(task: Task, force: bool = False) -> Outcome:
         return replace(
             outcome, status="failed", why=_with_notes(error), seconds=time.perf_counter() - begun, error=error
         )
+    except ImportError:
+        raise
+    except Exception as error:
+        # An input that a stage did not expect, or a full disk: other items go on, and it is said which one it was.
+        if os.environ.get("BASK_DEBUG"):
+            raise
+        why = f"{path}: {type(error).__name__}: {error}  fix: `bask-data validate`, or BASK_DEBUG=1 for the traceback."
+        return replace(outcome, status="failed", why=why, seconds=time.perf_counter() - begun)
     return replace(outcome, seconds=time.perf_counter() - begun, digest=manifest.digest, why=state.why)
 
 

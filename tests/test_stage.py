@@ -236,3 +236,20 @@ def test_open_with_plain_zarr(dataset: Dataset) -> None:
     assert depth.shape == (2, 4, 6)
     assert depth.attrs["scale_m"] == 0.0001
     assert group["reconstruction/b"].attrs["bask"]["kind"] == "reconstruction"
+
+
+def test_fault_that_no_stage_foresaw_fails_its_own_item_and_is_named(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = Reconstruction.write
+
+    def full(out: Path, **arrays: object) -> None:
+        if len(arrays["vertices"]) == 6:  # type: ignore[arg-type]
+            raise OSError("No space left on device")
+        write(out, **arrays)  # type: ignore[arg-type]
+
+    monkeypatch.delenv("BASK_DEBUG", raising=False)
+    monkeypatch.setattr(Reconstruction, "write", staticmethod(full))
+    failed, made = run(plan(dataset, fuse))
+    assert (failed.status, made.status) == ("failed", "made")
+    assert f"{dataset.root}/reconstruction/a: OSError: No space left on device" in failed.why
