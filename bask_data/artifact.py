@@ -320,7 +320,7 @@ def recover(root: Path) -> None:
                 os.rename(parked / "artifact", target)
             shutil.rmtree(parked, ignore_errors=True)
     for scratch in (root / SCRATCH).glob("*~*~*~*"):
-        if _is_abandoned(scratch.name):
+        if scratch.is_dir() and _is_abandoned(scratch.name):
             shutil.rmtree(scratch, ignore_errors=True)
 
 

@@ -6,6 +6,7 @@ import functools
 import inspect
 import json
 import os
+import shlex
 import signal
 import sys
 import types
@@ -27,7 +28,7 @@ from bask_data.errors import BaskError, MissingDependency, UsageError
 from bask_data.formats import FORMATS, Format
 from bask_data.params import Params
 from bask_data.pipeline import STAGES
-from bask_data.stage import Outcome, Stage, State, plan, run, state_of
+from bask_data.stage import Config, Outcome, Stage, State, plan, run, state_of
 
 Root = Annotated[Path, typer.Argument(help="The dataset's directory.", metavar="ROOT")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
@@ -37,7 +38,11 @@ Cluster = Annotated[str, typer.Option(help="Dask scheduler to work on instead: t
 Force = Annotated[bool, typer.Option("--force", help="Make it again even if it is up to date.")]
 ConfigFile = Annotated[
     Path | None,
-    typer.Option("--config", help="YAML with a section per stage, or `stage@name` for one item.", metavar="FILE"),
+    typer.Option(
+        "--config",
+        help="YAML: a section per stage, or `stage@name` for one item. [default: ROOT/params.yaml]",
+        metavar="FILE",
+    ),
 ]
 Set = Annotated[
     list[str],
@@ -225,6 +230,17 @@ def _executor(jobs: int, cluster: str) -> Iterator[Executor | None]:
         yield None
 
 
+def _quoted(path: Path) -> str:
+    """A path as it can be pasted into a shell."""
+    return shlex.quote(str(path))
+
+
+def _parameters(root: Path, config: Path | None, assignments: Sequence[str]) -> Config:
+    """Of `--config`, or else of the dataset's own params.yaml, with `--set` over them."""
+    own = root / "params.yaml"
+    return load_config(config or (own if own.exists() else None), assignments, STAGES)
+
+
 def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
 
@@ -246,7 +262,10 @@ def _finish(command: str, outcomes: Sequence[Outcome], as_json: bool, next_comma
         say(f"{len(failed)} failed, {len(blocked)} blocked, {len(outcomes) - len(failed) - len(blocked)} fine.")
         raise typer.Exit(failed[0].error.exit_code if failed[0].error else 1)
     if blocked:
-        say(f"{len(blocked)} blocked: an input is missing.  fix: make it first, or `bask-data run`.")
+        fix = "make it first, or `bask-data run`."
+        if any("has no scenes" in outcome.why for outcome in blocked):
+            fix = "bask-data ingest FORMAT SOURCE ROOT --scene NAME --as scan"
+        say(f"{len(blocked)} blocked: an input is missing.  fix: {fix}")
         raise typer.Exit(UsageError.exit_code)
     if next_command:
         say(f"next: {next_command}")
@@ -312,7 +331,7 @@ def _add_stage(stage: Stage) -> None:
         tasks = plan(
             dataset,
             stage,
-            config=load_config(config, set_, STAGES),
+            config=_parameters(root, config, set_),
             options=_given(stage.params, options),
             only=_names(options.get("only", "")),
             variant=variant,
@@ -335,9 +354,8 @@ def _add_stage(stage: Stage) -> None:
             for other in STAGES[STAGES.index(stage) + 1 :]
             if stage.makes in [given.artifact for given in other.inputs]
         ]
-        _finish(
-            stage.name, outcomes, json_, f"bask-data {later[0].name} {root}" if later else f"bask-data report {root}"
-        )
+        following = later[0].name if later else "report"
+        _finish(stage.name, outcomes, json_, f"bask-data {following} {_quoted(root)}")
 
     _command(app, stage.name, stage.help, parameters, body, "Stages")
 
@@ -380,7 +398,7 @@ def _add_format(format: Format) -> None:
             say(f"  assumed     {name}: {text}")
         for outcome in outcomes:
             show_outcome(outcome)
-        _finish(f"ingest {format.name}", outcomes, json_, f"bask-data run {root}", assumptions=assumptions)
+        _finish(f"ingest {format.name}", outcomes, json_, f"bask-data run {_quoted(root)}", assumptions=assumptions)
 
     _command(ingest_app, format.name, format.help, parameters, body, "Formats")
 
@@ -405,7 +423,7 @@ def init(
     say(f"made {dataset.root / DATASET}")
     if json_:
         print(json.dumps({"command": "init", "root": str(root), "name": dataset.file.name}))
-    say(f"next: bask-data ingest frames SOURCE {root} --scene NAME ...")
+    say(f"next: bask-data ingest frames SOURCE {_quoted(root)} --scene NAME ...")
 
 
 @app.command("run")
@@ -424,7 +442,7 @@ def run_all(
     """Make everything that is missing or stale, in order."""
     dataset = Dataset(root)
     dataset.recover()
-    parameters = load_config(config, set_, STAGES)
+    parameters = _parameters(root, config, set_)
     names = _names(only)
     unknown = [name for name in names if name not in dataset.items("recording")]
     if unknown:
@@ -447,7 +465,7 @@ def run_all(
                 show_outcome(outcome)
                 _show_warnings(outcome)
                 outcomes.append(outcome)
-    _finish("run", outcomes, json_, f"bask-data report {root}")
+    _finish("run", outcomes, json_, f"bask-data report {_quoted(root)}")
 
 
 @app.command()
@@ -455,7 +473,7 @@ def run_all(
 def status(root: Root, config: ConfigFile = None, set_: Set = [], json_: Json = False) -> None:  # noqa: B006
     """Say of every artifact whether it is up to date, and if not, why."""
     dataset = Dataset(root)
-    parameters = load_config(config, set_, STAGES)
+    parameters = _parameters(root, config, set_)
     rows: list[tuple[str, str, State]] = []
     for stage in STAGES:
         for variant in dataset.variants(stage.makes):
@@ -469,7 +487,7 @@ def status(root: Root, config: ConfigFile = None, set_: Set = [], json_: Json = 
             {"stage": stage, "label": label, "status": state.status, "why": state.why} for stage, label, state in rows
         ]
         print(json.dumps({"command": "status", "artifacts": found}, indent=2))
-    say(f"next: bask-data run {root}" if n_todo else "everything is up to date.")
+    say(f"next: bask-data run {_quoted(root)}" if n_todo else "everything is up to date.")
 
 
 @app.command()
@@ -549,7 +567,7 @@ def split(
     Dataset(root).set_splits(splits)
     if json_:
         print(json.dumps({"command": "split", **splits.model_dump(mode="json")}))
-    say(f"next: bask-data train {root}")
+    say(f"next: bask-data train {_quoted(root)}")
 
 
 @app.command()
@@ -566,7 +584,7 @@ def dvc(
     from bask_data.dvc import render
 
     dataset = Dataset(root)
-    rendered = render(dataset, STAGES, load_config(config or _params_of(root), [], STAGES))
+    rendered = render(dataset, STAGES, _parameters(root, config, []))
     stale = [name for name, text in rendered.items() if not (root / name).exists() or (root / name).read_text() != text]
     if json_:
         print(json.dumps({"command": "dvc", "files": sorted(rendered), "changed": stale}))
@@ -586,7 +604,7 @@ def dvc(
     for stage in STAGES:
         for variant in dataset.variants(stage.makes):
             dataset.prepare(stage.makes, variant)
-    say(f"next: dvc repro {root / 'dvc.yaml'}")
+    say(f"next: dvc repro {_quoted(root / 'dvc.yaml')}")
 
 
 @app.command()
@@ -622,10 +640,6 @@ def doctor(
         print(examiner.as_json(found))
     if examiner.missing(found):
         raise typer.Exit(MissingDependency.exit_code)
-
-
-def _params_of(root: Path) -> Path | None:
-    return root / "params.yaml" if (root / "params.yaml").exists() else None
 
 
 if __name__ == "__main__":

@@ -90,6 +90,11 @@ class Dataset:
             ) from error
         for name in [*self.file.scenes, *self.file.demonstrations]:
             check_name(name, file)
+        splits = self.file.splits
+        for name in (*splits.train, *splits.validation, *splits.test):
+            if name not in self.file.scenes:
+                known = ", ".join(self.file.scenes) or "no scenes"
+                raise BadData(file, "splits", expected=f"one of {known}", got=name, fix=f"bask-data split {root}")
         for kind, variants in self.file.variants.items():
             for name, variant in variants.items():
                 check_name(name, file)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 from bask_data.dataset import DATASET, Dataset, Source
@@ -38,17 +39,18 @@ def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[st
     return {
         "dvc.yaml": _HEADER + text,
         "params.yaml": params_text(stages, config),
-        ".gitignore": _gitignore(),
+        ".gitignore": _gitignore(dataset.root / ".gitignore"),
     }
 
 
-def _gitignore() -> str:
-    """Artifacts are DVC's, git keeps the groups above them: a clone opens with any Zarr reader before `dvc pull`."""
-    lines = ["/.scratch/", "/provenance/", "/report.html"]
+def _gitignore(file: Path) -> str:
+    """What is there, and the artifacts, which are DVC's. Git keeps the groups above them, so that a clone opens."""
+    lines = file.read_text().splitlines() if file.exists() else []
+    wanted = ["/.scratch/", "/provenance/", "/report.html"]
     for kind in KINDS:
         below = "/*" if kind.has_variants and kind.scope != "dataset" else ""
-        lines.append(f"/{kind.kind}{below}/*/")
-    return "\n".join(lines) + "\n"
+        wanted.append(f"/{kind.kind}{below}/*/")
+    return "\n".join([*lines, *(line for line in wanted if line not in lines)]) + "\n"
 
 
 def params_text(stages: Iterable[Stage], config: Config) -> str:

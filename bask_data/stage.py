@@ -272,6 +272,7 @@ def plan(
     # They become names of folders, and what stands in a target's place is replaced.
     for name in (variant, *chosen.values()):
         check_name(name, dataset.root)
+    _refuse_unknown_sections(dataset, stage, config or {}, variant)
     tasks = []
     for item in items:
         if only and makes.scope != "dataset" and item not in only:
@@ -299,6 +300,16 @@ def plan(
             )
         )
     return tasks
+
+
+def _refuse_unknown_sections(dataset: Dataset, stage: Stage, config: Config, variant: str) -> None:
+    """A section `stage@name` for a name that does not exist is most likely misspelt, and would not count."""
+    items = dataset.items(stage.makes.scope) if stage.makes.scope != "dataset" else []
+    known = dict.fromkeys([*items, *dataset.variants(stage.makes), variant])
+    for section in config:
+        name, _, of = section.partition("@")
+        if name == stage.name and of and of not in known:
+            raise UsageError(section, "", expected=f"{name}@ and one of {', '.join(known)}", got=of)
 
 
 def _items_of(dataset: Dataset, given: Input, item: str) -> list[str]:
@@ -396,7 +407,7 @@ def make(task: Task, force: bool = False) -> Outcome:
             return replace(outcome, status="blocked", why=state.why)
         if state.status == "up to date" and not force:
             return replace(outcome, status="up to date", digest=read_manifest(task.target).digest)
-        manifest = _make(task, begun)
+        manifest = _make(task, begun, force)
     except BaskError as error:
         return replace(
             outcome, status="failed", why=_with_notes(error), seconds=time.perf_counter() - begun, error=error
@@ -416,7 +427,7 @@ def _with_notes(error: BaskError) -> str:
     return "\n".join([str(error), *getattr(error, "__notes__", [])])
 
 
-def _make(task: Task, begun: float) -> Manifest:
+def _make(task: Task, begun: float, force: bool) -> Manifest:
     parts = key_parts(task)
     key = digest_of(parts)
     arguments: dict[str, Any] = {}
@@ -446,7 +457,7 @@ def _make(task: Task, begun: float) -> Manifest:
         return manifest
 
     if task.stage.resumable:
-        manifest = _fill_resumable(task, key, fill)
+        manifest = _fill_resumable(task, key, fill, force)
     else:
         scratch = new_scratch(task.root, task.stage.makes.kind)
         try:
@@ -457,12 +468,15 @@ def _make(task: Task, begun: float) -> Manifest:
     return manifest
 
 
-def _fill_resumable(task: Task, key: str, fill: Callable[[Path], Manifest]) -> Manifest:
+def _fill_resumable(task: Task, key: str, fill: Callable[[Path], Manifest], force: bool) -> Manifest:
     """Run with a scratch directory that a kill leaves in place, named by the key, for one process at a time."""
     folder = task.root / SCRATCH
-    prefix = f"resume-{task.stage.makes.kind}-{task.variant}-{task.item}-"
+    prefix = f"resume~{task.stage.makes.kind}~{task.variant}~{task.item}~"
     folder.mkdir(exist_ok=True)
     with FileLock(folder / f"{prefix}.lock"):
+        if not force and state_of(task).status == "up to date":
+            # Another process made it while this one waited for the lock.
+            return read_manifest(task.target)
         scratch = folder / f"{prefix}{key[:32]}"
         scratch.mkdir(exist_ok=True)
         manifest = fill(scratch)

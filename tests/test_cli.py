@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 import bask_data.core
 from bask_data.cli import app
 from bask_data.dataset import Dataset
-from bask_data.kinds import Scan
+from bask_data.kinds import Demonstration, Scan
 from bask_data.pipeline import STAGES
 from tests.test_stage import add_scan
 
@@ -102,8 +102,8 @@ def test_library_that_does_not_load_leaves_with_5(dataset: Dataset, monkeypatch:
 def test_escape_sequences_from_strangers_never_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     from bask_data.console import say
 
-    say("a\x1b[31mb\x1b]0;title\x07c\nd")
-    assert capsys.readouterr().err == "ab]0;titlec\nd\n"
+    say("a\x1b[31mb\x1b]0;title\x07c\x9b31m\nd")
+    assert capsys.readouterr().err == "ab]0;titlec31m\nd\n"
 
 
 def test_dry_run_says_what_and_why_and_makes_nothing(dataset: Dataset) -> None:
@@ -170,3 +170,37 @@ def test_bad_value_for_a_late_stage_is_refused_before_the_first_runs(dataset: Da
     assert ended.exit_code == 2
     assert "train: steps: expected Input should be a valid integer" in ended.stderr
     assert not (dataset.root / "reconstruction").exists()
+
+
+def test_parameters_of_the_dataset_are_used_without_being_named(dataset: Dataset) -> None:
+    (dataset.root / "params.yaml").write_text("reconstruct: {voxel_size: -1}\n")
+    for command in ("reconstruct", "run", "status"):
+        ended = cli(command, dataset.root)
+        assert ended.exit_code == 2
+        assert "reconstruct: voxel_size: expected" in ended.stderr
+    assert cli("reconstruct", dataset.root, "--set", "reconstruct.voxel_size=1", "--dry-run").exit_code == 0
+
+
+def test_misspelt_scene_in_a_section_is_refused(dataset: Dataset) -> None:
+    ended = cli("run", dataset.root, "--set", "reconstruct@tabel.voxel_size=1")
+    assert ended.exit_code == 2
+    assert "reconstruct@tabel: expected reconstruct@ and one of a" in ended.stderr
+
+
+def test_workspace_with_swapped_corners_is_refused_before_anything_runs(dataset: Dataset) -> None:
+    ended = cli("reconstruct", dataset.root, "--workspace", "1,1,1,0,0,0", "--dry-run")
+    assert ended.exit_code == 2
+    assert "each minimum below its maximum" in ended.stderr
+
+
+def test_next_command_can_be_pasted(tmp_path: Path) -> None:
+    ended = cli("init", tmp_path / "my data")
+    assert f"SOURCE '{tmp_path}/my data' --scene" in ended.stderr
+
+
+def test_dataset_without_scenes_says_what_to_ingest(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    add_scan(dataset, "x", kind=Demonstration)
+    ended = cli("run", dataset.root)
+    assert ended.exit_code == 2
+    assert "fix: bask-data ingest FORMAT SOURCE ROOT --scene NAME --as scan" in ended.stderr

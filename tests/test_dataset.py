@@ -96,3 +96,12 @@ def test_splits_name_existing_scenes_once(tmp_path: Path) -> None:
         dataset.set_splits(Splits(train=("a",), test=("a",)))
     dataset.set_splits(Splits(train=("a",), test=("b",)))
     assert Dataset(tmp_path).file.splits.test == ("b",)
+
+
+def test_splits_in_a_file_that_name_no_scene_are_named(tmp_path: Path) -> None:
+    Dataset.create(tmp_path)
+    document = json.loads((tmp_path / "dataset.json").read_text())
+    document["splits"]["train"] = ["nope"]
+    (tmp_path / "dataset.json").write_text(json.dumps(document))
+    with pytest.raises(BadData, match="splits: expected one of no scenes, got nope"):
+        Dataset(tmp_path)

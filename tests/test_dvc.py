@@ -86,6 +86,16 @@ def test_every_written_parameter_reads_back_as_it_is(repository: Path) -> None:
         assert stage.params.model_validate(config[stage.name]) == wanted
 
 
+def test_own_lines_of_gitignore_stay(repository: Path) -> None:
+    file = repository / "table" / ".gitignore"
+    file.write_text("mine\n")
+    sh(repository, "bask-data", "dvc", "table")
+    lines = file.read_text().splitlines()
+    assert lines[0] == "mine"
+    assert "/scan/*/" in lines
+    sh(repository, "bask-data", "dvc", "table", "--check")
+
+
 def test_variants_have_stages_of_their_own(repository: Path) -> None:
     dataset = Dataset(repository / "table")
     dataset.add_variant(KeypointTrack, "plain", Variant(inputs={"descriptor": "main", "reference": "main"}))

@@ -3,23 +3,30 @@ from __future__ import annotations
 import json
 import pickle
 import shutil
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 import pytest
+from filelock import FileLock
 
 from bask_data.artifact import read_manifest
 from bask_data.dataset import Dataset, Splits, Variant
 from bask_data.errors import UsageError
-from bask_data.kinds import DescriptorNet, Reconstruction
+from bask_data.kinds import Demonstration, DescriptorNet, Reconstruction, Scan
 from bask_data.stage import Outcome, Stage, State, in_order, make, plan, run, state_of
 from tests.datasets import publish_recording
 from tests.toy_stages import fuse, learn, pick
 
 
-def add_scan(dataset: Dataset, name: str, n_frames: int = 2, level: int = 0) -> None:
+def add_scan(
+    dataset: Dataset,
+    name: str,
+    n_frames: int = 2,
+    level: int = 0,
+    kind: type[Scan] | type[Demonstration] = Scan,
+) -> None:
     publish_recording(
         dataset,
         name,
@@ -27,6 +34,7 @@ def add_scan(dataset: Dataset, name: str, n_frames: int = 2, level: int = 0) -> 
         depth=[np.full((4, 6), 1.0) for _ in range(n_frames)],
         K=np.array([[5.0, 0, 2.5], [0, 5, 1.5], [0, 0, 1]]),
         world_from_cameras=np.tile(np.eye(4), (n_frames, 1, 1)),
+        kind=kind,
     )
 
 
@@ -161,7 +169,7 @@ def test_interrupted_resumable_stage_goes_on_where_it_was(dataset: Dataset) -> N
     (dataset.root / "interrupt").unlink()
     assert one(dataset, learn).status == "made"
     assert DescriptorNet(dataset.path(DescriptorNet)).metadata.metrics["resumed_at"] == 2
-    assert not list((dataset.root / ".scratch").glob("resume-*/"))
+    assert not list((dataset.root / ".scratch").glob("resume~*/"))
 
 
 def test_variants_stand_beside_each_other(dataset: Dataset) -> None:
@@ -253,3 +261,27 @@ def test_fault_that_no_stage_foresaw_fails_its_own_item_and_is_named(
     failed, made = run(plan(dataset, fuse))
     assert (failed.status, made.status) == ("failed", "made")
     assert f"{dataset.root}/reconstruction/a: OSError: No space left on device" in failed.why
+
+
+def test_section_for_a_name_that_does_not_exist_is_refused(dataset: Dataset) -> None:
+    with pytest.raises(UsageError, match="fuse@c: expected fuse@ and one of a, b, main, got c"):
+        plan(dataset, fuse, config={"fuse@c": {"voxel_size": 1.0}})
+
+
+def test_waiting_for_another_process_that_makes_the_same_ends_with_its_result(dataset: Dataset) -> None:
+    for stage in (fuse, pick):
+        statuses(dataset, stage)
+    [task] = plan(dataset, learn)
+    folder = dataset.root / ".scratch"
+    folder.mkdir(exist_ok=True)
+    with ThreadPoolExecutor(1) as pool:
+        with FileLock(folder / "resume~descriptor~main~~.lock"):
+            waiting = pool.submit(make, task)
+            # The other process: a copy of the dataset, in which the artifact is made and put in place.
+            other = Dataset(shutil.copytree(dataset.root, dataset.root.with_name("other")))
+            assert one(other, learn).status == "made"
+            other.path(DescriptorNet).parent.mkdir(exist_ok=True)
+            shutil.copytree(other.path(DescriptorNet), dataset.path(DescriptorNet))
+            inode = dataset.path(DescriptorNet).stat().st_ino
+        assert waiting.result().status == "made"
+    assert dataset.path(DescriptorNet).stat().st_ino == inode

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bask_data.artifact import ArraySpec, Artifact, Metadata, write_group
+from bask_data.errors import BadData
 from bask_data.kinds.arrays import FrameWriter, read_all, read_frame, start, write_array
 
 if TYPE_CHECKING:
@@ -65,12 +66,23 @@ class Camera:
     @cached_property
     def K(self) -> np.ndarray:
         """Pinhole matrix (3, 3) float64, pixels."""
-        return read_all(self._group, "intrinsics", self.path)
+        import numpy as np
+
+        K = read_all(self._group, "intrinsics", self.path)
+        if K.shape != (3, 3) or not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
+            raise BadData(self.path, "intrinsics", expected="a pinhole matrix", got=str(K.tolist()))
+        return K
 
     @cached_property
     def world_from_cameras(self) -> np.ndarray:
         """(t, 4, 4) float64, metres."""
-        return read_all(self._group, "world_from_camera", self.path)
+        from bask_data.core.geometry import rigid_fault
+
+        transforms = read_all(self._group, "world_from_camera", self.path)
+        for i_frame, transform in enumerate(transforms):
+            if fault := rigid_fault(transform):
+                raise BadData(self.path, f"world_from_camera {i_frame}", expected="a rigid transform", got=fault)
+        return transforms
 
     @cached_property
     def time(self) -> np.ndarray:

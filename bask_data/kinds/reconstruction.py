@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bask_data.artifact import ArraySpec, Artifact, Metadata
+from bask_data.errors import BadData
 from bask_data.kinds.arrays import read_all, start, write_array
 
 if TYPE_CHECKING:
@@ -48,7 +49,11 @@ class Reconstruction(Artifact):
     @cached_property
     def triangles(self) -> np.ndarray:
         """(m, 3) int32 indices of vertices."""
-        return read_all(self.group, "triangles", self.path)
+        triangles = read_all(self.group, "triangles", self.path)
+        n_vertices = len(self.vertices)
+        if triangles.size and (triangles.min() < 0 or triangles.max() >= n_vertices):
+            raise BadData(self.path, "triangles", expected=f"indices below {n_vertices}", got=str(triangles.max()))
+        return triangles
 
     @cached_property
     def colors(self) -> np.ndarray:

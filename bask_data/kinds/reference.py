@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bask_data.artifact import ArraySpec, Artifact, Metadata
+from bask_data.errors import BadData
 from bask_data.kinds.arrays import read_all, start, write_array
 
 if TYPE_CHECKING:
@@ -51,7 +52,12 @@ class ReferenceKeypoints(Artifact):
     @cached_property
     def descriptors(self) -> np.ndarray:
         """(k, d) float32."""
-        return read_all(self.group, "descriptors", self.path)
+        import numpy as np
+
+        descriptors = read_all(self.group, "descriptors", self.path)
+        if not np.isfinite(descriptors).all():
+            raise BadData(self.path, "descriptors", expected="finite numbers", got="NaN or infinity")
+        return descriptors
 
     @property
     def picks(self) -> list[Pick]:

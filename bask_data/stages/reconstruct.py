@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Camera, Reconstruction, Scan
@@ -43,6 +43,13 @@ class ReconstructParams(Params):
         0.0, ge=0, description="Skip frames until the camera has turned so far, degrees; 0: do not."
     )
 
+    @field_validator("workspace")
+    @classmethod
+    def _low_corner_first(cls, box: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if box is not None and any(low >= high for low, high in zip(box[:3], box[3:], strict=True)):
+            raise ValueError("x_min,y_min,z_min,x_max,y_max,z_max in metres with each minimum below its maximum")
+        return box
+
 
 @stage(makes=Reconstruction, version=1)
 def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
@@ -57,13 +64,6 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
 
     if params.near >= params.far:
         raise UsageError("reconstruct", "near", expected=f"less than far ({params.far} m)", got=f"{params.near} m")
-    if params.workspace is not None and not np.less(params.workspace[:3], params.workspace[3:]).all():
-        raise UsageError(
-            "reconstruct",
-            "workspace",
-            expected="x_min,y_min,z_min,x_max,y_max,z_max with each minimum below its maximum",
-            got=",".join(map(str, params.workspace)),
-        )
     frames = [
         (camera, int(i_frame))
         for camera in scan.cameras
@@ -85,10 +85,7 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
     volume = tsdf.Volume(params.voxel_size, params.truncation, bounds, n_blocks)
     for camera, i_frame in progress(frames, "fusing frames"):
         measured = depth.cleaned(camera.depth(i_frame), params.near, params.far)
-        try:
-            volume.integrate(measured, camera.rgb(i_frame), camera.K, camera.world_from_cameras[i_frame])
-        except ValueError as error:
-            raise BadData(camera.path, f"frame {i_frame}: {error}", fix="ingest the scan again.") from error
+        volume.integrate(measured, camera.rgb(i_frame), camera.K, camera.world_from_cameras[i_frame])
     mesh = volume.mesh(params.min_views)
     if len(mesh.triangles) == 0:
         raise BadData(

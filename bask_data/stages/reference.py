@@ -57,7 +57,15 @@ def reference(
     if params.picks:
         picks, descriptors = _picked(params, by_name, network)
     else:
-        name = params.scene or next(iter(by_name))
+        name = params.scene or next((name for name, (_, mask) in by_name.items() if mask.n_instances), "")
+        if not name:
+            raise BadData(
+                descriptor.path.parent.parent,
+                "masks",
+                expected="an object in some scene",
+                got="none in any",
+                fix="see `bask-data objects --help`, or what its notes say.",
+            )
         if name not in by_name:
             raise UsageError("reference", "scene", expected=f"one of {', '.join(by_name)}", got=name)
         picks, descriptors = _chosen(params, name, *by_name[name], network)

@@ -98,10 +98,6 @@ def test_what_cannot_be_is_said_in_words(tmp_path: Path) -> None:
     for options, message in (
         ({"near": 2.0, "far": 1.0}, r"reconstruct: near: expected less than far \(1.0 m\), got 2.0 m"),
         (
-            {"workspace": (0, 0, 0, 0, 1, 1)},
-            "reconstruct: workspace: expected x_min,.* with each minimum below its maximum",
-        ),
-        (
             {"near": 3.0},
             "depth: expected measurements between near 3.0 m and far 4.0 m, got none in 9 frames looked at",
         ),
@@ -125,7 +121,7 @@ def test_a_scan_with_a_broken_transform_is_refused_by_frame(tmp_path: Path) -> N
     outcome = made(dataset)
     assert outcome.status == "failed"
     with pytest.raises(
-        type(outcome.error), match="wrist: frame 1: world_from_camera: expected a rigid transform, got a scaled"
+        type(outcome.error), match="wrist: world_from_camera 1: expected a rigid transform, got a scaled"
     ):
         raise outcome.error
 

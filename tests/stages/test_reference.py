@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import torch
 
 from bask_data.core.geometry import invert_rigid, project, transform
 from bask_data.dataset import Dataset
-from bask_data.kinds import DescriptorNet, ReferenceKeypoints
+from bask_data.kinds import DescriptorNet, ReferenceKeypoints, Scan, VisibleMasks
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings
 from bask_data.stage import make, plan
 from bask_data.stages.reference import reference
@@ -161,3 +162,26 @@ def test_what_does_not_exist_is_refused(dataset, options, message):
     outcome = made(dataset, **options)
     assert outcome.status == "failed"
     assert re.search(message, outcome.why), outcome.why
+
+
+def without_objects(dataset: Dataset, name: str) -> None:
+    """Replace a scene's masks by ones of no object."""
+
+    def fill(out: Path) -> None:
+        camera = Scan(dataset.path(Scan, name)).cameras[0]
+        with VisibleMasks.writer(out, 0) as writer:
+            stream = writer.camera(camera.name, camera.n_frames, camera.height, camera.width)
+            for _ in range(camera.n_frames):
+                stream.append(np.zeros((camera.height, camera.width), dtype=np.uint8), np.zeros(0, dtype=np.float32))
+
+    publish_artifact(dataset, VisibleMasks, name, fill)
+
+
+def test_scenes_without_objects_are_passed_over(dataset, tmp_path):
+    copy = Dataset(shutil.copytree(dataset.root, tmp_path / "copy"))
+    names = copy.items("scene")
+    without_objects(copy, names[0])
+    assert {pick.recording for pick in keypoints(copy).picks} == {names[1]}
+    for name in names[1:]:
+        without_objects(copy, name)
+    assert "masks: expected an object in some scene, got none in any" in made(copy).why
