@@ -32,6 +32,9 @@ BORDERS = (0.02, 0.01, 0.0)
 class ReferenceParams(Params):
     """How keypoints are chosen, or which they are."""
 
+    auto: bool = Field(
+        False, description="Choose them automatically even where picks are given; without picks, always."
+    )
     n: int = Field(16, ge=1, description="Number of keypoints, shared among the objects.")
     seed: int = Field(0, ge=0, description="Seed of the candidates.")
     scene: str | None = Field(None, description="Scene to take them from. Default: the first.")
@@ -54,7 +57,7 @@ def reference(
 
     network = load(descriptor.path)
     by_name = {scan.path.name: (scan, mask) for scan, mask in zip(scans, masks, strict=True)}
-    if params.picks:
+    if params.picks and not params.auto:
         picks, descriptors = _picked(params, by_name, network)
     else:
         name = params.scene or next((name for name, (_, mask) in by_name.items() if mask.n_instances), "")

@@ -108,6 +108,11 @@ def test_points_by_hand_are_taken_as_they_are(dataset):
     np.testing.assert_allclose(found.descriptors[0], expected.numpy(), atol=1e-4)
 
 
+def test_automatic_choice_goes_over_picks(dataset):
+    automatic = keypoints(dataset, n=3)
+    assert keypoints(dataset, n=3, picks=("a:wrist:1:40.5:50",), auto=True).picks == automatic.picks
+
+
 class Colours:
     """Colours as descriptors: the stage without its network."""
 
