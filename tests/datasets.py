@@ -8,7 +8,7 @@ import numpy as np
 
 from bask_data.artifact import Artifact, digest_of, new_scratch, publish, seal
 from bask_data.dataset import Dataset, Source
-from bask_data.kinds import Demonstration, Scan
+from bask_data.kinds import Demonstration, Reconstruction, Scan
 
 
 def publish_recording(
@@ -52,3 +52,21 @@ def publish_artifact(dataset: Dataset, kind: type[Artifact], item: str, fill, va
     seal(scratch, artifact=kind, stage="test", stage_version=1, params={}, inputs={}, key=digest_of([kind.kind, item]))
     publish(scratch, target)
     return target
+
+
+def publish_mesh(dataset: Dataset, item: str, vertices: np.ndarray, triangles: np.ndarray) -> Path:
+    """Publish a reconstruction of these vertices (n, 3) and triangles (m, 3), all black."""
+    return publish_artifact(
+        dataset,
+        Reconstruction,
+        item,
+        lambda out: Reconstruction.write(
+            out,
+            vertices=vertices,
+            triangles=triangles,
+            colors=np.zeros(vertices.shape, np.uint8),
+            voxel_size=0.004,
+            bounds=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0),
+            quality={},
+        ),
+    )

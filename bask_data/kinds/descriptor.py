@@ -47,11 +47,6 @@ class DescriptorNet(Artifact):
         "model.json": "backbone, descriptor_dim, input size, normalisation",
     }
 
-    @property
-    def weights_file(self) -> Path:
-        """The safetensors file."""
-        return self.path / "weights.safetensors"
-
     @cached_property
     def model(self) -> dict[str, Any]:
         """The content of `model.json`."""

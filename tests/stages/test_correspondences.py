@@ -9,11 +9,11 @@ import pytest
 
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
 from bask_data.dataset import Dataset
-from bask_data.kinds import Correspondences, InstanceRow, ObjectInstances, Reconstruction, VisibleMasks
+from bask_data.kinds import Correspondences, InstanceRow, ObjectInstances, VisibleMasks
 from bask_data.stage import make, plan
 from bask_data.stages.correspondences import correspondences
 from tests import meshes, scenes
-from tests.datasets import publish_artifact, publish_recording
+from tests.datasets import publish_artifact, publish_mesh, publish_recording
 
 GOLDEN = Path(__file__).parent / "golden"
 HEIGHT, WIDTH = 96, 128
@@ -43,20 +43,7 @@ def dataset_of(root, cameras, blocks=BLOCKS, masked=None):
         K=K,
         world_from_cameras=cameras,
     )
-    publish_artifact(
-        dataset,
-        Reconstruction,
-        "a",
-        lambda out: Reconstruction.write(
-            out,
-            vertices=vertices,
-            triangles=triangles,
-            colors=np.zeros(vertices.shape, np.uint8),
-            voxel_size=0.004,
-            bounds=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0),
-            quality={},
-        ),
-    )
+    publish_mesh(dataset, "a", vertices, triangles)
     rows = [
         InstanceRow(id=i + 1, n_vertices=1, area_m2=0.01, centroid=(0, 0, 0), extents=(1, 1, 1))
         for i in range(len(blocks))

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from bask_data.dataset import Dataset
-from bask_data.kinds import ObjectInstances, Reconstruction
+from bask_data.kinds import ObjectInstances
 from bask_data.stage import make, plan
 from bask_data.stages.objects import objects
 from tests import scenes
-from tests.datasets import publish_artifact, publish_recording
+from tests.datasets import publish_mesh, publish_recording
 from tests.meshes import THREE, table
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -28,20 +28,7 @@ def dataset_of(root, vertices, triangles):
         K=scenes.intrinsics(12, 16),
         world_from_cameras=cameras,
     )
-    publish_artifact(
-        dataset,
-        Reconstruction,
-        "a",
-        lambda out: Reconstruction.write(
-            out,
-            vertices=vertices,
-            triangles=triangles,
-            colors=np.zeros(vertices.shape, np.uint8),
-            voxel_size=0.004,
-            bounds=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0),
-            quality={},
-        ),
-    )
+    publish_mesh(dataset, "a", vertices, triangles)
     return dataset
 
 
