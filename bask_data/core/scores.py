@@ -8,6 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from bask_data.core.geometry import in_image, invert_rigid, transform
 
@@ -67,16 +70,50 @@ def best_instances(table: Int[ndarray, "256 256"]) -> list[LabelMatch]:
     Args:
         table: of `overlap`, summed over frames.
     """
-    of_label, of_instance = table.sum(axis=1), table.sum(axis=0)
-    union = of_label[:, None] + of_instance[None, :] - table
-    iou = np.where(union > 0, table / np.maximum(union, 1), 0.0)
-    iou[:, 0] = 0.0
+    of_label, iou = table.sum(axis=1), _iou(table)
     best = iou.argmax(axis=1)
     return [
         LabelMatch(int(label), int(best[label]), float(iou[label, best[label]]), int(of_label[label]))
         for label in np.flatnonzero(of_label)
         if label != 0
     ]
+
+
+def joined(touching: Sequence[tuple[int, int]]) -> UInt8[ndarray, "256"]:
+    """For each label the smallest label of the group it belongs to, where labels that touch are one group.
+
+    Geometry cannot tell touching bodies apart, so they are held against one instance. Use it as `joined(t)[labels]`.
+    """
+    graph = coo_array(
+        (np.ones(len(touching), bool), np.asarray(touching, np.int64).reshape(-1, 2).T), shape=(N_LABELS, N_LABELS)
+    )
+    group = connected_components(graph, directed=False)[1]
+    # Groups are numbered in the order of their smallest labels.
+    return np.unique(group, return_index=True)[1][group].astype(np.uint8)
+
+
+def paired_instances(table: Int[ndarray, "256 256"]) -> list[LabelMatch]:
+    """For each label that occurs the instance it is paired with, so that the sum of IoU is the largest; no instance is
+    given to two labels.
+
+    Args:
+        table: of `overlap`, summed over frames.
+    """
+    iou = _iou(table)
+    labels = np.flatnonzero(table.sum(axis=1)[1:]) + 1
+    chosen = linear_sum_assignment(-iou[labels, 1:])[1] + 1
+    return [
+        LabelMatch(int(label), int(one) if iou[label, one] > 0 else 0, float(iou[label, one]), int(table[label].sum()))
+        for label, one in zip(labels, chosen, strict=True)
+    ]
+
+
+def _iou(table: Int[ndarray, "256 256"]) -> Float[ndarray, "256 256"]:
+    """Intersection over union of each label and instance; 0 for the instance 0, which is none."""
+    union = table.sum(axis=1)[:, None] + table.sum(axis=0)[None, :] - table
+    iou = np.where(union > 0, table / np.maximum(union, 1), 0.0)
+    iou[:, 0] = 0.0
+    return iou
 
 
 def label_at(labels: UInt8[ndarray, "h w"], pixel: Float[ndarray, "*n 2"]) -> Int[ndarray, "*n"]:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,10 +12,12 @@ from bask_data.core.scores import (
     OUTSIDE,
     best_instances,
     distribution,
+    joined,
     label_at,
     landing,
     object_shares,
     overlap,
+    paired_instances,
     place_elsewhere,
     position_error,
     spread,
@@ -40,6 +44,35 @@ def test_distribution_of_nothing_is_nan_and_counts_zero():
     found = distribution(np.array([np.nan]))
     assert found.n == 0
     assert np.isnan([found.median, found.mean, found.p90, found.largest]).all()
+
+
+def test_labels_that_touch_directly_or_through_others_become_their_smallest():
+    lut = joined([(7, 3), (9, 7), (20, 21)])
+    assert lut[[3, 7, 9]].tolist() == [3, 3, 3]
+    assert lut[[20, 21]].tolist() == [20, 20]
+    alone = np.setdiff1d(np.arange(256), [7, 9, 21])
+    np.testing.assert_array_equal(lut[alone], alone)
+
+
+def test_nothing_that_touches_changes_no_label():
+    np.testing.assert_array_equal(joined([]), np.arange(256))
+
+
+def test_an_instance_over_two_labels_is_given_to_one_of_them():
+    labels = np.array([[1, 1, 1, 2, 2]], np.uint8)
+    pairs = paired_instances(overlap(labels, np.ones_like(labels)))
+    assert [(pair.label, pair.instance) for pair in pairs] == [(1, 1), (2, 0)]
+    assert [pair.iou for pair in pairs] == [3 / 5, 0.0]
+
+
+def test_pairs_have_the_largest_sum_of_iou():
+    rng = np.random.default_rng(0)
+    labels, instances = (rng.integers(0, 5, (12, 12)).astype(np.uint8) for _ in range(2))
+    table = overlap(labels, instances)
+    pairs = paired_instances(table)
+    iou = lambda label, one: table[label, one] / (table[label].sum() + table[:, one].sum() - table[label, one])  # noqa: E731
+    best = max(sum(iou(i + 1, one) for i, one in enumerate(order)) for order in itertools.permutations(range(1, 5)))
+    assert sum(pair.iou for pair in pairs) == pytest.approx(best)
 
 
 @given(SEEDS)
