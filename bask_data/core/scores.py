@@ -1,4 +1,4 @@
-"""How good masks and keypoints are, held against what is known of a recording: figures for reports and evaluations."""
+"""How good masks, matches and keypoints are, held against what is known of a recording: for reports and evaluations."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 from numpy import ndarray
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from bask_data.core.geometry import in_image, invert_rigid, transform
+from bask_data.core.geometry import in_image, invert_rigid, project, transform, unproject
 
 N_LABELS = 256
 """Labels and instances are bytes; 0 is background in both."""
@@ -253,3 +253,85 @@ def object_shares(landings: Sequence[Landing], chosen: Bool[ndarray, "k"] | None
         outside=float((label == OUTSIDE).mean()),
         chance=float(np.stack([one.chance for one in landings])[counted].mean()),
     )
+
+
+SAME_SURFACE = 0.02
+"""Depths around a position belong to one surface where the farthest is at most this share beyond the nearest."""
+
+
+def true_depth(
+    depth: Float32[ndarray, "h w"], labels: UInt8[ndarray, "h w"], uv: Float[ndarray, "n 2"]
+) -> Float[ndarray, "n"]:
+    """True z-depth at positions between pixels, metres; 0 where nothing is shown, or outside the image.
+
+    Bilinear in inverse depth, which is exact on planes, where the four pixels around show one surface of one body; else
+    the nearest pixel's.
+    """
+    height, width = depth.shape
+    inside = in_image(uv, height, width)
+    uv = np.where(inside[:, None], uv, 0.0)
+    u, v = np.rint(uv).astype(np.int64).clip(0, [width - 1, height - 1]).T
+    nearest = depth[v, u].astype(np.float64)
+    u0, v0 = np.floor(uv).astype(np.int64).clip(0, [max(width - 2, 0), max(height - 2, 0)]).T
+    u1, v1 = np.minimum(u0 + 1, width - 1), np.minimum(v0 + 1, height - 1)
+    corners = (v0, u0), (v0, u1), (v1, u0), (v1, u1)
+    around = np.stack([depth[corner] for corner in corners]).astype(np.float64)
+    one_body = np.all([labels[corner] == labels[v, u] for corner in corners], axis=0)
+    lowest, highest = around.min(axis=0), around.max(axis=0)
+    smooth = one_body & (lowest > 0) & (highest <= (1 + SAME_SURFACE) * lowest)
+    along_u, along_v = np.clip(uv - np.stack([u0, v0], axis=1), 0.0, 1.0).T
+    weights = np.stack(
+        [(1 - along_u) * (1 - along_v), along_u * (1 - along_v), (1 - along_u) * along_v, along_u * along_v]
+    )
+    between = 1.0 / (weights / np.where(smooth, around, 1.0)).sum(axis=0)
+    return np.where(inside, np.where(smooth, between, nearest), 0.0)
+
+
+@dataclass(frozen=True)
+class MatchErrors:
+    """How wrong m matches are; of the true point, which is the one that the pixel of the first view shows."""
+
+    error_px: Float[ndarray, "m"]
+    """Pixels in the second view between the match and the true point; infinity where the first view shows nothing there
+    or the point is behind the second camera."""
+    depth: Float[ndarray, "m"]
+    """True z-depth of the point in the second view, metres; NaN where there is no point."""
+    behind: Float[ndarray, "m"]
+    """Metres by which the point is behind what the second view shows at the nearest pixel: hidden, if more than the
+    slope of a surface explains. Minus infinity where nothing is shown there, or the point is outside the image."""
+
+    def hidden(self, slack: tuple[float, float] = (0.02, 0.0)) -> Bool[ndarray, "m"]:
+        """Matches whose point the second view cannot see: it is more than a + b z metres behind what is shown there."""
+        return self.behind > slack[0] + slack[1] * np.nan_to_num(self.depth)
+
+
+def match_errors(
+    uv_a: Float[ndarray, "m 2"],
+    uv_b: Float[ndarray, "m 2"],
+    depth_a: Float32[ndarray, "h_a w_a"],
+    depth_b: Float32[ndarray, "h_b w_b"],
+    labels_a: UInt8[ndarray, "h_a w_a"],
+    K_a: Float[ndarray, "3 3"],
+    K_b: Float[ndarray, "3 3"],
+    world_from_a: Float[ndarray, "4 4"],
+    world_from_b: Float[ndarray, "4 4"],
+) -> MatchErrors:
+    """Hold matches against exact depth and exact cameras.
+
+    Args:
+        uv_a, uv_b: pixels of the two views that are said to show one point.
+        depth_a, depth_b: true z-depth, metres; 0 where nothing is shown.
+        labels_a: the true body at each pixel of the first view.
+    """
+    z_a = true_depth(depth_a, labels_a, uv_a.astype(np.float64))
+    points_b = transform(invert_rigid(world_from_b) @ world_from_a, unproject(uv_a.astype(np.float64), z_a, K_a))
+    points_b[z_a <= 0] = np.nan
+    true_uv, z_b = project(points_b, K_b)
+    error = np.linalg.norm(true_uv - uv_b, axis=1)
+    inside = in_image(true_uv, *depth_b.shape)
+    nearest = np.rint(np.where(inside[:, None], true_uv, 0.0)).astype(np.int64)
+    # Rounding a position on the last half pixel may lead out of the image.
+    u, v = nearest.clip(0, [depth_b.shape[1] - 1, depth_b.shape[0] - 1]).T
+    shown = depth_b[v, u].astype(np.float64)
+    behind = np.where(inside & (shown > 0), z_b - shown, -np.inf)
+    return MatchErrors(np.where(np.isfinite(error), error, np.inf), z_b, behind)

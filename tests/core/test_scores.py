@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bask_data.core.geometry import transform
+from bask_data.core.geometry import invert_rigid, project, transform, unproject
 from bask_data.core.scores import (
     OUTSIDE,
     best_instances,
@@ -15,6 +15,7 @@ from bask_data.core.scores import (
     joined,
     label_at,
     landing,
+    match_errors,
     object_shares,
     overlap,
     paired_instances,
@@ -22,7 +23,9 @@ from bask_data.core.scores import (
     position_error,
     spread,
     step_length,
+    true_depth,
 )
+from tests import scenes
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -187,3 +190,71 @@ def test_spread_is_the_root_mean_square_distance_of_samples_from_their_mean():
 def test_step_is_how_far_the_mean_moved():
     mean = np.cumsum(np.array([[[0.0, 0, 0]], [[3.0, 4, 0]], [[0.0, 0, 2]]]), axis=0).astype(np.float32)
     assert step_length(mean)[:, 0].tolist() == [5.0, 2.0]
+
+
+HEIGHT, WIDTH = 60, 80
+K = scenes.intrinsics(HEIGHT, WIDTH)
+WALL = scenes.Plane(normal=(0.0, 0.6, 0.8), offset=-0.02)
+POST = scenes.Box((0.01, 0.15, 0.01), scenes.look_at((0.0, 0.0, 0.2), (0.0, 0.0, 1.0)))
+
+
+def two_views(objects=()):
+    """A slanted wall from two places, with what may stand in front of it."""
+    scene = scenes.Scene(tuple(objects), (WALL,))
+    cameras = [scenes.look_at((x, 0.1, 0.6), (x / 2, 0.0, 0.0), up=(0.0, 1.0, 0.0)) for x in (-0.1, 0.15)]
+    return [scene.render(K, camera, HEIGHT, WIDTH) for camera in cameras], cameras
+
+
+@given(SEEDS)
+def test_error_is_the_distance_to_where_a_formula_says_the_point_is(seed):
+    (a, b), cameras = two_views()
+    rng = np.random.default_rng(seed)
+    uv_a = rng.uniform(0, [WIDTH - 1, HEIGHT - 1], size=(20, 2))
+    z = WALL.cast(cameras[0][:3, 3], unproject(uv_a, np.ones(20), K) @ cameras[0][:3, :3].T)
+    assert true_depth(a.depth, a.instance, uv_a) == pytest.approx(z, abs=1e-6)
+    b_from_a = invert_rigid(cameras[1]) @ cameras[0]
+    uv_b, z_b = project(transform(b_from_a, unproject(uv_a, z, K)), K)
+    off = rng.normal(scale=2, size=(20, 2))
+    found = match_errors(uv_a, uv_b + off, a.depth, b.depth, a.instance, K, K, *cameras)
+    assert found.error_px == pytest.approx(np.linalg.norm(off, axis=1), abs=1e-3)
+    assert found.depth == pytest.approx(z_b, abs=1e-5)
+    assert not found.hidden((0.01, 0.0)).any()
+
+
+def test_a_point_behind_a_post_is_hidden_however_right_the_match_is():
+    (a, b), cameras = two_views([POST])
+    uv_a = np.stack(np.nonzero(a.instance == 0)[::-1], axis=1).astype(float)
+    z = true_depth(a.depth, a.instance, uv_a)
+    assert z == pytest.approx(a.depth[a.instance == 0], abs=1e-6)
+    uv_b, _ = project(transform(invert_rigid(cameras[1]) @ cameras[0], unproject(uv_a, z, K)), K)
+    found = match_errors(uv_a, uv_b, a.depth, b.depth, a.instance, K, K, *cameras)
+    behind_post = label_at(b.instance, uv_b) == 1
+    assert behind_post.sum() > 50
+    np.testing.assert_array_equal(found.hidden(), behind_post)
+    assert (found.behind[behind_post] > 0.03).all()
+    assert not found.hidden((1.0, 0.0)).any()
+    assert found.error_px == pytest.approx(0, abs=1e-6)
+
+
+def test_true_depth_mixes_neither_bodies_nor_surfaces_of_one_body():
+    depth = np.array([[1.0, 1.0, 2.0, 2.0], [1.0, 1.0, 2.0, 0.0]], np.float32)
+    labels = np.array([[1, 2, 2, 2], [1, 2, 2, 2]], np.uint8)
+    uv = np.array([[0.4, 0.5], [1.4, 0.2], [1.6, 0.2], [2.9, 0.9], [-0.6, 0.0], [np.nan, 0.0]])
+    assert true_depth(depth, labels, uv).tolist() == [1.0, 1.0, 2.0, 0.0, 0.0, 0.0]
+
+
+def test_a_match_on_nothing_is_infinitely_wrong_and_one_that_leaves_the_image_is_not_hidden():
+    depth = np.full((HEIGHT, WIDTH), 0.5, np.float32)
+    depth[0, 0] = 0.0
+    away = np.eye(4)
+    away[:3, 3] = [1.0, 0.0, 0.0]
+    behind = np.eye(4)
+    behind[:3, 3] = [0.0, 0.0, 1.0]
+    uv = np.array([[0.0, 0.0], [40.0, 30.0]])
+    labels = np.zeros((HEIGHT, WIDTH), np.uint8)
+    found = match_errors(uv, uv, depth, depth, labels, K, K, np.eye(4), away)
+    assert np.isinf(found.error_px[0])
+    assert np.isnan(found.depth[0])
+    assert np.isfinite(found.error_px[1])
+    assert not found.hidden((0.0, 0.0)).any()
+    assert np.isinf(match_errors(uv, uv, depth, depth, labels, K, K, np.eye(4), behind).error_px).all()
