@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from bask_data.errors import BadData
+from bask_data.params import first_fault
 
 if TYPE_CHECKING:
     import zarr
@@ -139,10 +140,8 @@ class Artifact:
         try:
             return self.metadata_model.model_validate(fields)
         except ValidationError as error:
-            first = error.errors()[0]
-            raise BadData(
-                self.path / "zarr.json", "bask." + ".".join(map(str, first["loc"])), expected=first["msg"]
-            ) from error
+            field, expected, came = first_fault(error)
+            raise BadData(self.path / "zarr.json", f"bask.{field}", expected=expected, got=came) from error
 
     @property
     def camera_names(self) -> list[str]:
@@ -216,8 +215,8 @@ def read_manifest(path: Path) -> Manifest:
     try:
         return Manifest.model_validate(read_json(file))
     except ValidationError as error:
-        first = error.errors()[0]
-        raise BadData(file, ".".join(map(str, first["loc"])), expected=first["msg"]) from error
+        field, expected, came = first_fault(error)
+        raise BadData(file, field, expected=expected, got=came) from error
 
 
 def list_files(path: Path) -> Iterator[tuple[str, Path]]:

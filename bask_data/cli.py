@@ -26,7 +26,7 @@ from bask_data.console import say, show_error, show_outcome, shown_progress
 from bask_data.dataset import DATASET, Dataset, Splits, Variant
 from bask_data.errors import BaskError, MissingDependency, UsageError
 from bask_data.formats import FORMATS, Format
-from bask_data.params import Params
+from bask_data.params import Params, first_fault
 from bask_data.pipeline import STAGES
 from bask_data.stage import Config, Outcome, Stage, State, plan, run, state_of
 
@@ -193,11 +193,9 @@ def _model_values(model: type[Params], options: dict[str, Any], where: str) -> P
     try:
         return model.model_validate(_given(model, options))
     except ValidationError as error:
-        first = error.errors()[0]
-        field = "--" + str(first["loc"][0]).replace("_", "-")
-        raise UsageError(
-            where, field, expected=first["msg"], got=str(first.get("input"))[:80], fix=f"see `{where} --help`."
-        ) from error
+        field, expected, came = first_fault(error)
+        option = "--" + field.split(".")[0].replace("_", "-")
+        raise UsageError(where, option, expected=expected, got=came, fix=f"see `{where} --help`.") from error
 
 
 # Stages ---------------------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from bask_data.artifact import SCRATCH, Artifact, read_json, recover, write_group, write_json_atomically
 from bask_data.errors import BadData, UsageError, WouldOverwrite
+from bask_data.params import first_fault
 
 DATASET = "dataset.json"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
@@ -84,10 +85,8 @@ class Dataset:
         try:
             self.file = DatasetFile.model_validate(read_json(file))
         except ValidationError as error:
-            first = error.errors()[0]
-            raise BadData(
-                file, ".".join(map(str, first["loc"])), expected=first["msg"], got=str(first.get("input"))[:80]
-            ) from error
+            field, expected, came = first_fault(error)
+            raise BadData(file, field, expected=expected, got=came) from error
         for name in [*self.file.scenes, *self.file.demonstrations]:
             check_name(name, file)
         splits = self.file.splits

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+import json
+import re
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+_WORDY = re.compile(r"^(Input should (be )?|Value error, )|, (unable|got) .*$|valid |(?<=items) after validation")
+_SHORT = {"missing": "a value", "extra_forbidden": "no field of that name"}
 
 
 class Params(BaseModel):
@@ -13,3 +19,12 @@ class Params(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def first_fault(error: ValidationError) -> tuple[str, str, str]:
+    """The first thing that is wrong: its field, what was expected there in plain words, and what came."""
+    fault = error.errors()[0]
+    # What came for a missing value is the whole that lacks it, which is no answer.
+    came = "none" if fault["type"] == "missing" else json.dumps(fault["input"], default=str)[:80]
+    expected = _SHORT.get(fault["type"]) or _WORDY.sub("", fault["msg"]).replace("a integer", "a whole number")
+    return ".".join(map(str, fault["loc"])), expected, came

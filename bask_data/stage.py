@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import getpass
 import importlib
-import json
 import os
 import platform
 import shutil
@@ -43,7 +42,7 @@ from bask_data.artifact import (
 )
 from bask_data.dataset import Dataset, Splits, Variant, check_name
 from bask_data.errors import BadData, BaskError, UsageError
-from bask_data.params import Params
+from bask_data.params import Params, first_fault
 from bask_data.progress import progress, report
 
 __all__ = [
@@ -235,13 +234,14 @@ def resolve(stage: Stage, config: Config, item: str, variant: str, options: dict
     try:
         return stage.params.model_validate(values)
     except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(map(str, first["loc"]))
+        field, expected, came = first_fault(error)
         known = ", ".join(stage.params.model_fields)
-        fix = f"one of {known}." if first["type"] == "extra_forbidden" else f"see `bask-data {stage.name} --help`."
-        raise UsageError(
-            stage.name, field, expected=first["msg"], got=json.dumps(first.get("input"), default=str)[:80], fix=fix
-        ) from error
+        fix = (
+            f"see `bask-data {stage.name} --help`."
+            if field.split(".")[0] in stage.params.model_fields
+            else f"one of {known}."
+        )
+        raise UsageError(stage.name, field, expected=expected, got=came, fix=fix) from error
 
 
 def plan(
@@ -518,11 +518,16 @@ def _user() -> str:
 
 
 def _peak_bytes() -> int:
-    import resource
+    try:
+        # Not `ru_maxrss`, which a process begins with its parent's peak.
+        line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
+        return int(line.split()[1]) * 1024
+    except (OSError, StopIteration):
+        import resource
 
-    # Linux counts in kibibytes, macOS in bytes.
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024
+        # macOS counts in bytes, others in kibibytes.
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak if sys.platform == "darwin" else peak * 1024
 
 
 def run(

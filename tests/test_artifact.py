@@ -117,5 +117,5 @@ def test_missing_manifest_is_named(tmp_path: Path) -> None:
 
 def test_manifest_with_a_missing_field_is_named(tmp_path: Path) -> None:
     (tmp_path / "artifact.json").write_text('{"kind": "scan"}')
-    with pytest.raises(BadData, match="schema_version: expected Field required"):
+    with pytest.raises(BadData, match="schema_version: expected a value, got none"):
         read_manifest(tmp_path)

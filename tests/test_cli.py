@@ -168,7 +168,7 @@ def test_variant_that_leads_out_of_the_dataset_touches_nothing(dataset: Dataset,
 def test_bad_value_for_a_late_stage_is_refused_before_the_first_runs(dataset: Dataset) -> None:
     ended = cli("run", dataset.root, "--set", "train.steps=many")
     assert ended.exit_code == 2
-    assert "train: steps: expected Input should be a valid integer" in ended.stderr
+    assert "train: steps: expected a whole number" in ended.stderr
     assert not (dataset.root / "reconstruction").exists()
 
 

@@ -206,7 +206,7 @@ def test_unknown_item_is_refused_with_the_choices(dataset: Dataset) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"voxel_size": -1}, "fuse: voxel_size: expected Input should be greater than 0, got -1"),
+        ({"voxel_size": -1}, "fuse: voxel_size: expected greater than 0, got -1"),
         ({"voxel": 1}, "fuse: voxel: .* fix: one of voxel_size, fail, ignored, file."),
     ],
 )

@@ -143,4 +143,4 @@ def test_broken_metadata_is_found(dataset: Dataset) -> None:
     document["attributes"]["bask"]["voxel_size"] = "wide"
     (path / "zarr.json").write_text(json.dumps(document))
     reseal(path)
-    assert any("bask.voxel_size: expected Input should be a valid number" in problem for problem in found(dataset))
+    assert any("bask.voxel_size: expected a number" in problem for problem in found(dataset))
