@@ -26,15 +26,59 @@ def boxes(rng, n_boxes, n_points, gap=0.045):
     return np.concatenate([*points, specks]), np.concatenate([*truth, np.full(len(specks), -1)])
 
 
+def same_partition(one, other):
+    """Equal up to the numbers: each cluster of the one is a cluster of the other."""
+    pairs = np.unique(np.stack([one, other]), axis=1)
+    return len(pairs.T) == len(np.unique(one)) == len(np.unique(other))
+
+
 @pytest.mark.parametrize("seed", range(5))
-def test_cells_give_the_clusters_of_dbscan_on_the_points(seed):
+def test_clusters_are_those_of_the_textbook_method(seed):
     rng = np.random.default_rng(seed)
     points, truth = boxes(rng, 5, 4000)
     slow = DBSCAN(eps=0.03, min_samples=60).fit(points).labels_
     fast = dbscan(points, np.ones(len(points)), 0.03, 60.0)
-    assert adjusted_rand_score(slow, fast) >= 0.999
     assert adjusted_rand_score(truth, fast) >= 0.999
-    assert ((slow < 0) == (fast < 0)).mean() >= 0.999
+    np.testing.assert_array_equal(slow < 0, fast < 0)
+    assert same_partition(slow, fast)
+
+
+@settings(max_examples=60)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n_points=st.integers(1, 300),
+    eps=st.floats(0.02, 0.6),
+    core=st.integers(1, 12),
+    flat=st.booleans(),
+)
+def test_on_random_points_cores_noise_and_their_clusters_are_exact(seed, n_points, eps, core, flat):
+    points = np.random.default_rng(seed).uniform(-0.5, 0.5, (n_points, 3))
+    # Points on a lattice: distances that equal eps, and points on the cells' faces.
+    points = np.round(points, 1) if flat else points
+    eps = round(eps, 1) + 1e-12 if flat else eps
+    slow = DBSCAN(eps=eps, min_samples=core).fit(points)
+    fast = dbscan(points, np.ones(n_points), eps, float(core))
+    np.testing.assert_array_equal(slow.labels_ < 0, fast < 0)
+    cores = slow.core_sample_indices_
+    if len(cores):
+        assert same_partition(slow.labels_[cores], fast[cores])
+    distance = np.linalg.norm(points[:, None] - points[cores], axis=-1)
+    for i in np.setdiff1d(np.flatnonzero(fast >= 0), cores):
+        nearest = distance[i] <= distance[i].min() + 1e-12
+        assert distance[i].min() <= eps
+        assert fast[i] in fast[cores][nearest]
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_clusters_do_not_depend_on_where_the_points_are_or_how_they_are_turned(seed):
+    rng = np.random.default_rng(seed)
+    # A gap between 0.9 and 1.1 eps: where cells that approximate would decide by chance.
+    points, _ = boxes(rng, 3, 400, gap=rng.uniform(0.027, 0.033))
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    weights = np.ones(len(points))
+    moved = points @ turn + rng.uniform(-10, 10, 3)
+    assert same_partition(dbscan(points, weights, 0.03, 10.0), dbscan(moved, weights, 0.03, 10.0))
 
 
 def test_weights_stand_for_points_that_many_times():
@@ -78,3 +122,12 @@ def test_thin_weight_is_noise_and_no_points_have_no_labels():
 def test_sizes_that_are_not_positive_are_refused(eps, core):
     with pytest.raises(ValueError, match="eps and core_weight must be > 0"):
         dbscan(np.zeros((3, 3)), np.ones(3), eps, core)
+
+
+def test_points_that_are_not_finite_or_too_far_apart_are_refused():
+    points = np.zeros((3, 3))
+    points[1, 2] = np.nan
+    with pytest.raises(ValueError, match="points must be finite"):
+        dbscan(points, np.ones(3), 0.1, 1.0)
+    with pytest.raises(ValueError, match=r"eps of 1e-06 is too small for points that spread over 1e\+03"):
+        dbscan(np.diag([1e3, 1e3, 1e3]), np.ones(3), 1e-6, 1.0)
