@@ -55,7 +55,7 @@ def test_on_random_points_cores_noise_and_their_clusters_are_exact(seed, n_point
     points = np.random.default_rng(seed).uniform(-0.5, 0.5, (n_points, 3))
     # Points on a lattice: distances that equal eps, and points on the cells' faces.
     points = np.round(points, 1) if flat else points
-    eps = round(eps, 1) + 1e-12 if flat else eps
+    eps = max(round(eps, 1), 0.1) + 1e-12 if flat else eps
     slow = DBSCAN(eps=eps, min_samples=core).fit(points)
     fast = dbscan(points, np.ones(n_points), eps, float(core))
     np.testing.assert_array_equal(slow.labels_ < 0, fast < 0)
