@@ -150,7 +150,7 @@ class Artifact:
         return sorted(
             name
             for name in names
-            if read_json(self.path / name / "zarr.json").get("node_type") == "group" and name != "robot"
+            if read_json(self.path / name / "zarr.json").get("node_type") == "group" and name not in ("robot", "objects")
         )
 
 

@@ -28,6 +28,7 @@ from bask_data.errors import BaskError, MissingDependency, UsageError
 from bask_data.formats import FORMATS, Format
 from bask_data.params import Params, first_fault
 from bask_data.pipeline import STAGES
+from bask_data.sim.options import SimOptions, TaskName
 from bask_data.stage import Config, Outcome, Stage, State, plan, run, state_of
 
 Root = Annotated[Path, typer.Argument(help="The dataset's directory.", metavar="ROOT")]
@@ -403,6 +404,49 @@ def _add_format(format: Format) -> None:
 
 for _format in FORMATS:
     _add_format(_format)
+
+
+def _add_simulator() -> None:
+    def counted(what: str) -> Any:
+        return Annotated[int, typer.Option(min=0, help=f"Number of {what}.")]
+
+    only = Annotated[
+        str, typer.Option(help="Only these, whatever the numbers say: lid_scan0,lid_demo3.", metavar="NAMES")
+    ]
+    fields = SimOptions.model_fields
+    task = Annotated[TaskName, typer.Option("--task", help=fields["task"].description)]
+    parameters = [
+        _parameter("root", Root, inspect.Parameter.empty),
+        _parameter("task", task, inspect.Parameter.empty),
+        _parameter("scans", counted("scans of the objects, each in another place"), 5),
+        _parameter("demonstrations", counted("demonstrations of the task"), 14),
+        *[_option(name, field) for name, field in fields.items() if name != "task"],
+        _parameter("only", only, ""),
+        _parameter("force", Annotated[bool, typer.Option("--force", help="Replace recordings of those names.")], False),
+        _parameter("json_", Json, False),
+    ]
+
+    def body(root: Path, scans: int, demonstrations: int, only: str, force: bool, json_: bool, **options: Any) -> None:
+        from bask_data.stages.simulate import simulate
+
+        values = _model_values(SimOptions, options, "bask-data ingest sim")
+        assert isinstance(values, SimOptions)
+        with shown_progress():
+            outcomes, n_failed = simulate(
+                root, values, n_scans=scans, n_demonstrations=demonstrations, only=_names(only), force=force
+            )
+        for outcome in outcomes:
+            show_outcome(outcome)
+        if n_failed:
+            say(f"  note: {n_failed} demonstrations failed at the task and were drawn anew")
+        following = f"bask-data run {_quoted(root)}"
+        _finish("ingest sim", outcomes, json_, following, failed_demonstrations=n_failed)
+
+    help_ = "Simulate a tabletop task: scans and demonstrations whose truth is known exactly."
+    _command(ingest_app, "sim", help_, parameters, body, "Simulator")
+
+
+_add_simulator()
 
 
 # The dataset ----------------------------------------------------------------------------------------------------------

@@ -1,0 +1,102 @@
+"""What real sensors do to exact depth and exact poses. It goes into the recording, never into the truth."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt16
+from numpy import ndarray
+
+from bask_data.core.geometry import pixel_grid, unproject
+from bask_data.sim.options import SimOptions
+from bask_data.sim.rendering import View
+
+DEPTH_SCALE = 1e-4
+"""Metres per unit of stored depth."""
+FLOOR = 0.001
+"""Metres of noise at no distance at all, where there is any noise."""
+EDGE = 0.02
+"""Metres between neighbouring pixels that make a depth edge."""
+POSE_NOISE_M, POSE_NOISE_DEG = 0.002, 0.2
+
+
+def stored(depth: Float32[ndarray, "h w"]) -> UInt16[ndarray, "h w"]:
+    """Depth in units of `DEPTH_SCALE`; what is too far for 16 bits has none."""
+    units = np.rint(depth / np.float32(DEPTH_SCALE))
+    return np.where((units > 0) & (units < 65536), units, 0).astype(np.uint16)
+
+
+def measured(
+    view: View, K: Float[ndarray, "3 3"], options: SimOptions, rng: np.random.Generator
+) -> Float32[ndarray, "h w"]:
+    """What the camera's sensor makes of a view; 0 where it measures nothing."""
+    depth = view.depth
+    if options.flying:
+        depth = with_flying_pixels(depth, options.flying, rng)
+    if options.depth_noise:
+        sigma = np.float32(FLOOR) + np.float32(options.depth_noise) * depth
+        noise = rng.standard_normal(depth.shape, dtype=np.float32)
+        depth = np.where(depth > 0, np.maximum(depth + sigma * noise, np.float32(DEPTH_SCALE)), 0)
+    if options.holes:
+        depth = np.where(holes(view, K, options.holes, rng), np.float32(0), depth)
+    return depth.astype(np.float32)
+
+
+def depth_edges(
+    depth: Float32[ndarray, "h w"],
+) -> tuple[Bool[ndarray, "h w"], Float32[ndarray, "h w"], Float32[ndarray, "h w"]]:
+    """Pixels at depth edges, and the nearest and farthest depth beside each pixel."""
+    kernel = np.ones((3, 3), dtype=np.uint8)
+    near = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), kernel)
+    far = cv2.dilate(depth, kernel)
+    return (depth > 0) & (far - near > EDGE), near, far
+
+
+def with_flying_pixels(
+    depth: Float32[ndarray, "h w"], share: float, rng: np.random.Generator
+) -> Float32[ndarray, "h w"]:
+    """The same depth, but some pixels at edges lie anywhere between front and back."""
+    edges, near, far = depth_edges(depth)
+    flies = edges & (rng.random(depth.shape) < share)
+    between = near + rng.random(depth.shape, dtype=np.float32) * (far - near)
+    return np.where(flies, between, depth).astype(np.float32)
+
+
+def holes(view: View, K: Float[ndarray, "3 3"], share: float, rng: np.random.Generator) -> Bool[ndarray, "h w"]:
+    """Patches without depth, `share` of what is there: rather on grazed surfaces, and most on glass."""
+    height, width = view.depth.shape
+    cells = rng.random((height // 12 + 2, width // 12 + 2)).astype(np.float32)
+    patches = cv2.resize(cells, (width, height), interpolation=cv2.INTER_CUBIC)
+    score = patches + 0.8 * grazing(view.depth, K) ** 3 + 0.6 * view.is_glass
+    there = view.depth > 0
+    if not there.any():
+        return np.zeros_like(there)
+    return there & (score > np.quantile(score[there], 1 - share))
+
+
+def grazing(depth: Float32[ndarray, "h w"], K: Float[ndarray, "3 3"]) -> Float[ndarray, "h w"]:
+    """0 where a surface faces the camera, 1 where it is seen edge on."""
+    points = unproject(pixel_grid(*depth.shape), depth.astype(np.float64), K)
+    normals = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
+    lengths = np.linalg.norm(normals, axis=-1) * np.linalg.norm(points, axis=-1)
+    return 1 - np.abs((normals * points).sum(axis=-1)) / np.maximum(lengths, 1e-12)
+
+
+def noisy_poses(
+    world_from_cameras: Float[ndarray, "t 4 4"], factor: float, is_fixed: bool, rng: np.random.Generator
+) -> Float[ndarray, "t 4 4"]:
+    """Transforms as a robot reports them: each frame is off on its own, a fixed camera always the same way.
+
+    Args:
+        factor: in units of `POSE_NOISE_M` along each axis and `POSE_NOISE_DEG` about each axis, standard deviations.
+    """
+    if not factor:
+        return world_from_cameras
+    n_errors = 1 if is_fixed else len(world_from_cameras)
+    shifts = rng.normal(0, factor * POSE_NOISE_M, (n_errors, 3))
+    turns = rng.normal(0, np.radians(factor * POSE_NOISE_DEG), (n_errors, 3))
+    errors = np.tile(np.eye(4), (n_errors, 1, 1))
+    errors[:, :3, :3] = [cv2.Rodrigues(turn)[0] for turn in turns]
+    noisy = world_from_cameras @ errors
+    noisy[:, :3, 3] = world_from_cameras[:, :3, 3] + shifts
+    return noisy

@@ -1,0 +1,71 @@
+"""A parallel gripper that floats, with a camera at its wrist.
+
+The gripper's frame has its origin between the finger tips, z in the direction of approach, x from finger to finger. A
+weld to a moving target carries the hand as a robot's arm would; fingers are driven by position with a limited force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from bask_data.sim.objects import add_geom, numbers
+
+LABEL = 255
+GROUP = 1
+"""Group of the gripper's geoms, so that they can be left out of a picture."""
+MAX_WIDTH = 0.08
+"""Metres between the fingers when the gripper is open."""
+FOV_DEG = 56.0
+TILT = np.radians(15.0)
+"""The wrist camera is turned towards the finger tips, which show at the lower edge of the image."""
+CAMERA_AT = (0.0, -0.078, -0.135)
+
+
+def gripper_from_camera() -> Float[ndarray, "4 4"]:
+    """Where the wrist camera sits: camera x right, y down, z forward."""
+    transform = np.eye(4)
+    sine, cosine = np.sin(TILT), np.cos(TILT)
+    transform[:3, :3] = np.array([[1, 0, 0], [0, cosine, sine], [0, -sine, cosine]])
+    transform[:3, 3] = CAMERA_AT
+    return transform
+
+
+def add_gripper(mujoco: Element, world: Element) -> None:
+    """Add hand, fingers, camera, the target that carries them, and the fingers' motors."""
+    SubElement(world, "body", {"name": "target", "mocap": "true", "pos": "0 0 0.5", "quat": "0 1 0 0"})
+    hand = SubElement(world, "body", {"name": "hand", "gravcomp": "1", "pos": "0 0 0.5", "quat": "0 1 0 0"})
+    SubElement(hand, "freejoint", {"name": "hand"})
+    _add_part(hand, "box", (0.052, 0.020, 0.018), (0, 0, -0.108), mass=0.4)
+    _add_part(hand, "cylinder", (0.026, 0.035), (0, 0, -0.160), mass=0.2, tint=(0.5, 0.5, 0.55, 1))
+    behind = (0, CAMERA_AT[1] + 0.012, CAMERA_AT[2] - 0.030)
+    _add_part(hand, "box", (0.022, 0.012, 0.012), behind, mass=0.05, tint=(0.25, 0.25, 0.25, 1))
+    for side, sign in (("left", -1), ("right", 1)):
+        finger = SubElement(hand, "body", {"name": f"{side}_finger", "gravcomp": "1"})
+        joint = {"name": side, "type": "slide", "axis": f"{sign} 0 0", "range": f"0.0005 {MAX_WIDTH / 2}"}
+        SubElement(finger, "joint", {**joint, "limited": "true", "damping": "15", "armature": "0.05"})
+        pad: dict[str, Any] = {"friction": (1.4, 0.03, 0.001), "condim": "4", "solref": (0.008, 1), "mass": 0.04}
+        _add_part(finger, "box", (0.006, 0.010, 0.052), (sign * 0.006, 0, -0.040), **pad)
+    camera = gripper_from_camera()
+    axes = [*camera[:3, 0], *-camera[:3, 1]]
+    attributes = {"name": "wrist", "pos": numbers(CAMERA_AT), "xyaxes": numbers(axes), "fovy": f"{FOV_DEG}"}
+    SubElement(hand, "camera", attributes)
+    equality = SubElement(mujoco, "equality")
+    SubElement(equality, "weld", {"body1": "target", "body2": "hand", "solref": "0.02 1", "solimp": "0.95 0.99 0.001"})
+    SubElement(equality, "joint", {"joint1": "left", "joint2": "right", "solref": "0.01 1"})
+    motors = SubElement(mujoco, "actuator")
+    for side in ("left", "right"):
+        SubElement(
+            motors,
+            "position",
+            {"name": side, "joint": side, "kp": "500", "forcelimited": "true", "forcerange": "-12 12"},
+        )
+
+
+def _add_part(parent: Element, kind: str, size: Sequence[float], pos: Sequence[float], **attributes: Any) -> None:
+    add_geom(parent, kind, size, pos, material="gripper", group=str(GROUP), **attributes)

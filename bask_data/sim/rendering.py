@@ -1,0 +1,145 @@
+"""Pictures of the world: colour, exact z-depth, labels, and where the camera is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8
+from numpy import ndarray
+
+from bask_data.sim import gripper
+from bask_data.sim.engine import gl_context, import_mujoco
+from bask_data.sim.world import FAR, NEAR, World
+
+OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera sees, exactly.
+
+    Attributes:
+        depth: z-depth, metres; 0 where there is nothing.
+        instance: label of the visible body; 0 is table and floor, 255 the gripper.
+        is_glass: whether the visible surface is transparent.
+    """
+
+    rgb: UInt8[ndarray, "h w 3"]
+    depth: Float32[ndarray, "h w"]
+    instance: UInt8[ndarray, "h w"]
+    is_glass: Bool[ndarray, "h w"]
+    world_from_camera: Float[ndarray, "4 4"]
+
+
+def intrinsics(fov_deg: float, height: int, width: int) -> Float[ndarray, "3 3"]:
+    """Pinhole matrix of a camera with this vertical field of view; pixel (0, 0) is a centre."""
+    focal = height / 2 / np.tan(np.radians(fov_deg) / 2)
+    return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+
+
+class Renderer:
+    """Draws a world. One off-screen buffer serves cameras of any size; two passes a picture."""
+
+    def __init__(self, world: World) -> None:
+        mujoco = import_mujoco()
+        self._mujoco, self._world = mujoco, world
+        model = world.model
+        self._gl = gl_context(model.vis.global_.offwidth, model.vis.global_.offheight)
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 50)
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+        # Reversed depth keeps its precision far away.
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        self._option = mujoco.MjvOption()
+        self._tables: tuple[UInt8[ndarray, " s"], Bool[ndarray, " s"]] | None = None
+
+    @property
+    def shows_gripper(self) -> bool:
+        """Whether the gripper is in the pictures."""
+        return bool(self._option.geomgroup[gripper.GROUP])
+
+    @shows_gripper.setter
+    def shows_gripper(self, shown: bool) -> None:
+        self._option.geomgroup[gripper.GROUP] = shown
+
+    def close(self) -> None:
+        """Free the graphics memory."""
+        self._context.free()
+        self._gl.free()
+
+    def __enter__(self) -> Renderer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def K(self, camera: str) -> Float[ndarray, "3 3"]:
+        """Exact intrinsics of a camera at the size it is drawn."""
+        return intrinsics(float(self._world.model.camera(camera).fovy[0]), *self._world.options.size(camera))
+
+    def view(self, camera: str) -> View:
+        """What a camera sees of the world as it is."""
+        mujoco, scene = self._mujoco, self._scene
+        height, width = self._world.options.size(camera)
+        rect = mujoco.MjrRect(0, 0, width, height)
+        self._gl.make_current()
+        self._update(camera)
+        rgb, ids = np.empty((2, height, width, 3), dtype=np.uint8)
+        depth = np.empty((height, width), dtype=np.float32)
+        mujoco.mjr_render(rect, scene, self._context)
+        mujoco.mjr_readPixels(rgb, None, rect, self._context)
+        for flag in (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR):
+            scene.flags[flag] = True
+        # Glass is drawn solid in this pass, so that depth and labels are of the same surface.
+        mujoco.mjr_render(rect, scene, self._context)
+        mujoco.mjr_readPixels(ids, depth, rect, self._context)
+        for flag in (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR):
+            scene.flags[flag] = False
+        # The scene numbers its geoms anew for each picture, in one byte's steps through red, green and blue.
+        i_drawn = ids[::-1, :, 0].astype(np.uint16) + 256 * ids[::-1, :, 1].astype(np.uint16)
+        labels, is_glass = self._lookup()
+        return View(
+            np.ascontiguousarray(rgb[::-1]),
+            metric(depth[::-1]),
+            labels[i_drawn],
+            is_glass[i_drawn],
+            self.world_from_camera(camera),
+        )
+
+    def _update(self, camera: str) -> None:
+        mujoco = self._mujoco
+        eye = mujoco.MjvCamera()
+        eye.type, eye.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self._world.model.camera(camera).id
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(self._world.model, self._world.data, self._option, None, eye, everything, self._scene)
+
+    def _lookup(self) -> tuple[UInt8[ndarray, " s"], Bool[ndarray, " s"]]:
+        """Label and transparency by the number a geom is drawn with. The same geoms are drawn in every picture."""
+        if self._tables is None or len(self._tables[0]) != self._scene.ngeom + 1:
+            labels = np.zeros(self._scene.ngeom + 1, dtype=np.uint8)
+            is_glass = np.zeros(self._scene.ngeom + 1, dtype=bool)
+            for drawn in self._scene.geoms[: self._scene.ngeom]:
+                if drawn.objtype == self._mujoco.mjtObj.mjOBJ_GEOM and drawn.segid >= 0:
+                    labels[drawn.segid + 1] = self._world.geom_labels[drawn.objid]
+                    is_glass[drawn.segid + 1] = self._world.geom_is_glass[drawn.objid]
+            self._tables = labels, is_glass
+        return self._tables
+
+    def world_from_camera(self, camera: str) -> Float[ndarray, "4 4"]:
+        """Where a camera is, exactly: x right, y down, z forward."""
+        eye: Any = self._world.data.camera(camera)
+        transform = np.eye(4)
+        transform[:3, :3] = eye.xmat.reshape(3, 3) @ OPENGL_FROM_OPENCV
+        transform[:3, 3] = eye.xpos
+        return transform
+
+
+def metric(buffer: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
+    """z-depth from the depth buffer, which holds 1 at the near plane and 0 at the far one: linear in 1 / z."""
+    near, far = np.float64(np.float32(NEAR)), np.float64(np.float32(FAR))
+    inverse = buffer.astype(np.float64) * (1 / near - 1 / far) + 1 / far
+    return np.where(buffer > 0, 1 / inverse, 0).astype(np.float32)

@@ -1,0 +1,97 @@
+"""Procedural textures: smooth noise in two colours with shapes over it, so that no two spots look alike."""
+
+from __future__ import annotations
+
+import colorsys
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+FACE = 160
+"""Pixels along the edge of a face of an object's texture."""
+N_SHAPES = 9
+
+
+def colour(hue: float, saturation: float, value: float) -> Float[ndarray, "3"]:
+    """Red, green and blue in 0..255."""
+    return 255 * np.array(colorsys.hsv_to_rgb(hue % 1.0, min(saturation, 1.0), min(value, 1.0)))
+
+
+def smooth_noise(rng: np.random.Generator, height: int, width: int, cells: tuple[int, ...]) -> Float[ndarray, "h w"]:
+    """Noise in 0..1 with detail of several sizes, each octave half as strong as the one before.
+
+    Args:
+        cells: bumps along the longer edge, one octave each.
+    """
+    noise = np.zeros((height, width))
+    for i_octave, n_cells in enumerate(cells):
+        shape = (max(2, n_cells * height // max(height, width)), max(2, n_cells * width // max(height, width)))
+        noise += cv2.resize(rng.random(shape), (width, height), interpolation=cv2.INTER_CUBIC) / 2**i_octave
+    low, high = noise.min(), noise.max()
+    return (noise - low) / max(high - low, 1e-9)
+
+
+def object_faces(rng: np.random.Generator, hue: float, saturation: float, value: float) -> UInt8[ndarray, "6 f f 3"]:
+    """The six faces of an object's cube texture, around one main colour."""
+    return np.stack([_face(rng, hue, saturation, value) for _ in range(6)])
+
+
+def _face(rng: np.random.Generator, hue: float, saturation: float, value: float) -> UInt8[ndarray, "f f 3"]:
+    noise = smooth_noise(rng, FACE, FACE, (4, 9, 20, 48))[..., None]
+    dark = colour(hue + rng.uniform(-0.03, 0.03), saturation * 1.1, value * 0.55)
+    light = colour(hue + rng.uniform(-0.03, 0.03), saturation * 0.8, value * 1.05)
+    image = (dark * (1 - noise) + light * noise).clip(0, 255).astype(np.uint8)
+    for _ in range(N_SHAPES):
+        _add_shape(rng, image, hue, saturation, value)
+    return image
+
+
+def _add_shape(rng: np.random.Generator, image: UInt8[ndarray, "f f 3"], hue: float, s: float, v: float) -> None:
+    """Draw a disc, a box, a stripe or a letter in a kindred or an opposite colour."""
+    away = 0.5 if rng.random() < 0.25 else rng.uniform(-0.12, 0.12)
+    paint = tuple(colour(hue + away, max(s, 0.25) * rng.uniform(0.5, 1.2), v * rng.uniform(0.35, 1.2)).tolist())
+    x, y = (int(value) for value in rng.integers(0, FACE, 2))
+    extent = int(rng.integers(6, 26))
+    kind = int(rng.integers(0, 4))
+    if kind == 0:
+        cv2.circle(image, (x, y), extent, paint, -1 if rng.random() < 0.5 else 4, cv2.LINE_AA)
+    elif kind == 1:
+        corners = cv2.boxPoints(((x, y), (2 * extent, extent), float(rng.uniform(0, 180))))
+        cv2.fillPoly(image, [corners.astype(np.int32)], paint, cv2.LINE_AA)
+    elif kind == 2:
+        end = (x + int(rng.integers(-60, 60)), y + int(rng.integers(-60, 60)))
+        cv2.line(image, (x, y), end, paint, int(rng.integers(2, 8)), cv2.LINE_AA)
+    else:
+        letter = chr(int(rng.integers(65, 91)))
+        cv2.putText(
+            image, letter, (x - extent, y + extent), cv2.FONT_HERSHEY_SIMPLEX, extent / 12, paint, 4, cv2.LINE_AA
+        )
+
+
+def wood(rng: np.random.Generator, size: int) -> UInt8[ndarray, "s s 3"]:
+    """A table top: boards with grain along x."""
+    hue, n_boards = rng.uniform(0.06, 0.11), 6
+    grain = smooth_noise(rng, size, size // 8, (8, 24, 64, 200))
+    grain = cv2.resize(grain, (size, size), interpolation=cv2.INTER_CUBIC)
+    image = np.empty((size, size, 3))
+    for i_board in range(n_boards):
+        rows = slice(i_board * size // n_boards, (i_board + 1) * size // n_boards)
+        value = rng.uniform(0.62, 0.78)
+        dark, light = colour(hue, 0.52, value * 0.72), colour(hue + 0.01, 0.40, value * 1.12)
+        moved = np.roll(grain, int(rng.integers(0, size)), axis=1)[rows, :, None]
+        image[rows] = dark * (1 - moved) + light * moved
+        image[rows.start : rows.start + 2] *= 0.6
+    return image.clip(0, 255).astype(np.uint8)
+
+
+def tiles(rng: np.random.Generator, size: int) -> UInt8[ndarray, "s s 3"]:
+    """A floor of stone tiles."""
+    noise = smooth_noise(rng, size, size, (8, 32, 96))[..., None]
+    image = colour(0.58, 0.12, 0.42) * (1 - noise) + colour(0.56, 0.08, 0.62) * noise
+    step = size // 8
+    for i in range(8):
+        image[i * step : i * step + 3] *= 0.7
+        image[:, i * step : i * step + 3] *= 0.7
+    return image.clip(0, 255).astype(np.uint8)

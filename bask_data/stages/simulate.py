@@ -1,0 +1,337 @@
+"""Simulate: recordings of a made-up tabletop, with a truth beside each that knows everything exactly."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import time
+from collections.abc import Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bask_data.artifact import Artifact, digest_of, new_scratch, publish, read_manifest, seal
+from bask_data.dataset import DATASET, Dataset, Source
+from bask_data.errors import UsageError, WouldOverwrite
+from bask_data.kinds import Demonstration, Robot, Scan, Truth
+from bask_data.sim.options import TASKS, SimOptions
+from bask_data.stage import Outcome, progress, record
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import numpy as np
+
+    from bask_data.sim.rendering import Renderer
+    from bask_data.sim.take import Take
+    from bask_data.sim.world import World
+
+SIMULATE_VERSION = 1
+"""Raise it when the same options give another result."""
+FORMAT = "sim"
+MAX_ATTEMPTS = 20
+"""Failed demonstrations in a row after which the simulator is at fault, not chance."""
+_SCAN, _DEMONSTRATION = 0, 1
+_ONLY_SCANS = {"frames", "gripper_in_view"}
+"""Options that a demonstration does not depend on."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A recording to make: the `index`-th scan or demonstration of a task and seed."""
+
+    makes: type[Scan] | type[Demonstration]
+    index: int
+    options: SimOptions
+
+    @property
+    def item(self) -> str:
+        """Its name in the dataset."""
+        return f"{self.options.task}_{'scan' if self.makes is Scan else 'demo'}{self.index}"
+
+    @property
+    def params(self) -> dict[str, Any]:
+        """What its content follows from."""
+        unused = _ONLY_SCANS if self.makes is Demonstration else set()
+        return {"index": self.index, **self.options.model_dump(mode="json", exclude=unused)}
+
+    @cached_property
+    def key(self) -> str:
+        """The same key, the same content."""
+        return digest_of(
+            {
+                "kind": self.makes.kind,
+                "schema": [self.makes.schema_version, Truth.schema_version],
+                "stage": f"ingest {FORMAT}",
+                "version": SIMULATE_VERSION,
+                "params": self.params,
+            }
+        )
+
+    def seed(self, attempt: int = 0) -> list[int]:
+        """The seed of its scene and motions. Attempts at a demonstration differ in it."""
+        stream = _SCAN if self.makes is Scan else _DEMONSTRATION
+        return [self.options.seed, TASKS.index(self.options.task), 10 + stream, self.index, attempt]
+
+
+def simulate(
+    root: Path,
+    options: SimOptions,
+    *,
+    n_scans: int,
+    n_demonstrations: int,
+    only: Sequence[str] = (),
+    force: bool = False,
+) -> tuple[list[Outcome], int]:
+    """Make recordings of a task in the dataset at `root`, which is made if there is none.
+
+    All names are looked at before anything is written.
+
+    Args:
+        only: names of the recordings to make, whatever the counts say.
+
+    Returns:
+        What was made, and how many demonstrations failed and were drawn anew.
+
+    Raises:
+        WouldOverwrite: a recording of that name exists with other content and `force` is not set.
+        UsageError: nothing is asked for, a name that means nothing, or objects that find no room.
+    """
+    jobs = _jobs(options, n_scans, n_demonstrations, only)
+    is_current = _looked_at(root, jobs, force)
+    is_new = not root.exists()
+    outcomes, n_failed = [], 0
+    studio = _Studio(options)
+    try:
+        dataset = Dataset.open_or_create(root)
+        dataset.recover()
+        for job in jobs:
+            if job.item in is_current:
+                outcomes.append(_up_to_date(dataset, job))
+                continue
+            made, n_retries = _record(dataset, job, studio)
+            outcomes += made
+            n_failed += n_retries
+    except BaseException:
+        if is_new and not ((root / DATASET).exists() and Dataset(root).items("recording")):
+            shutil.rmtree(root, ignore_errors=True)
+        raise
+    finally:
+        studio.close()
+    return outcomes, n_failed
+
+
+def _jobs(options: SimOptions, n_scans: int, n_demonstrations: int, only: Sequence[str]) -> list[Job]:
+    if not only:
+        jobs = [Job(Scan, i, options) for i in range(n_scans)]
+        jobs += [Job(Demonstration, i, options) for i in range(n_demonstrations)]
+        if not jobs:
+            raise UsageError("ingest sim", expected="--scans or --demonstrations", got="neither")
+        return jobs
+    jobs = []
+    for name in only:
+        found = re.fullmatch(rf"{options.task}_(scan|demo)(\d{{1,6}})", name)
+        if not found:
+            raise UsageError(
+                "ingest sim", "--only", expected=f"names like {options.task}_scan0, {options.task}_demo12", got=name
+            )
+        jobs.append(Job(Scan if found[1] == "scan" else Demonstration, int(found[2]), options))
+    return jobs
+
+
+def _looked_at(root: Path, jobs: list[Job], force: bool) -> set[str]:
+    """The recordings that are there already, just as asked for."""
+    if not (root / DATASET).exists():
+        return set()
+    dataset, current = Dataset(root), set()
+    for job in jobs:
+        other = "demonstration" if job.makes is Scan else "scene"
+        if job.item in dataset.items(other):
+            raise UsageError(root / DATASET, job.item, expected="a new name", got=f"the name of a {other}")
+        target = dataset.path(job.makes, job.item)
+        if force or not target.exists():
+            continue
+        if read_manifest(target).key != job.key:
+            raise WouldOverwrite(
+                target,
+                "",
+                expected="no recording of that name",
+                got="one from another source or with other options",
+                fix="choose another dataset or task, or pass --force.",
+            )
+        current.add(job.item)
+    return current
+
+
+def _up_to_date(dataset: Dataset, job: Job) -> Outcome:
+    # A kill between publishing and listing leaves a recording that no command would look at.
+    if job.item not in dataset.items(job.makes.scope):
+        _enter(dataset, job)
+    target = dataset.path(job.makes, job.item)
+    return Outcome(
+        f"ingest {job.makes.kind} {job.item}",
+        job.makes.kind,
+        job.item,
+        "main",
+        str(target),
+        "up to date",
+        digest=read_manifest(target).digest,
+    )
+
+
+def _enter(dataset: Dataset, job: Job) -> None:
+    given = job.options.model_dump(mode="json", exclude_defaults=True)
+    dataset.add(job.makes.scope, job.item, Source(format=FORMAT, path="", options=given))
+
+
+class _Studio:
+    """The world and its renderer, made when the first recording is."""
+
+    def __init__(self, options: SimOptions) -> None:
+        self._options = options
+
+    @cached_property
+    def world(self) -> World:
+        from bask_data.sim.world import World
+
+        return World(self._options)
+
+    @cached_property
+    def renderer(self) -> Renderer:
+        from bask_data.sim.rendering import Renderer
+
+        return Renderer(self.world)
+
+    def close(self) -> None:
+        if "renderer" in self.__dict__:
+            self.renderer.close()
+
+
+def _record(dataset: Dataset, job: Job, studio: _Studio) -> tuple[list[Outcome], int]:
+    """Simulate one recording, draw it, and publish truth first, so that no recording is ever without it."""
+    begun = time.perf_counter()
+    take, n_failed = _take(job, studio)
+    outcomes = []
+    with _scratches(dataset, Truth, job.makes) as scratches:
+        _write(scratches[job.makes], scratches[Truth], job, take, studio)
+        for artifact, scratch in scratches.items():
+            target = dataset.path(artifact, job.item)
+            manifest = seal(
+                scratch,
+                artifact=artifact,
+                stage=f"ingest {FORMAT}",
+                stage_version=SIMULATE_VERSION,
+                params=job.params,
+                inputs={},
+                key=job.key,
+            )
+            publish(scratch, target)
+            record(dataset.root, target, begun, job.key)
+            seconds = time.perf_counter() - begun
+            label = f"ingest {artifact.kind} {job.item}"
+            outcomes.append(
+                Outcome(label, artifact.kind, job.item, "main", str(target), "made", "", seconds, manifest.digest)
+            )
+    _enter(dataset, job)
+    return outcomes[::-1], n_failed
+
+
+@contextmanager
+def _scratches(dataset: Dataset, *artifacts: type[Artifact]) -> Iterator[dict[type[Artifact], Path]]:
+    scratches = {}
+    try:
+        for artifact in artifacts:
+            dataset.prepare(artifact)
+            scratches[artifact] = new_scratch(dataset.root, artifact.kind)
+        yield scratches
+    finally:
+        for scratch in scratches.values():
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _take(job: Job, studio: _Studio) -> tuple[Take, int]:
+    """What happens in a recording, and how many attempts at it failed before."""
+    import numpy as np
+
+    from bask_data.sim.scan import scan
+
+    if job.makes is Scan:
+        return scan(studio.world, np.random.default_rng(job.seed())), 0
+    raise NotImplementedError
+
+
+def _write(out: Path, out_truth: Path, job: Job, take: Take, studio: _Studio) -> None:
+    """Draw every camera's frames once, into the recording with defects and into the truth without."""
+    import numpy as np
+
+    from bask_data.kinds.truth import TruthMetadata
+    from bask_data.sim.defects import DEPTH_SCALE, measured, noisy_poses, stored
+
+    world, renderer, options = studio.world, studio.renderer, job.options
+    labels = list(world.labels.values())
+    is_static = job.makes is Scan
+    metadata = TruthMetadata(
+        label_names=world.label_names,
+        world_from_object=dict(zip(labels, take.world_from_objects[0].tolist(), strict=True)) if is_static else {},
+        pose_error=dict.fromkeys(labels, 0.0) if is_static else {},
+        object_labels=labels,
+        touching=[(a, b) for a, b in take.touching],
+    )
+    assumptions = {"source": f"simulated: {options.task}, seed {options.seed}", "defects": _defects(options)}
+    arguments: dict[str, Any] = {} if take.robot is None else {"action_names": take.robot.action_names}
+    group = job.makes.start(out, FORMAT, assumptions, **arguments)
+    world.restore(take.layout)
+    renderer.shows_gripper = take.shows_gripper
+    with Truth.writer(out_truth, metadata, take.world_from_objects) as truth:
+        for i_camera, name in enumerate(options.cameras):
+            size, K, n_frames = options.size(name), renderer.K(name), len(take.qpos)
+            exact = truth.camera(name, n_frames, size, DEPTH_SCALE)
+            world_from_cameras = _poses(world, renderer, name, take)
+
+            def read(i_frame: int, name: str = name, i_camera: int = i_camera, exact: Any = exact) -> Any:
+                world.show(take.qpos[i_frame])
+                view = renderer.view(name)
+                exact.append(view.instance, stored(view.depth), view.world_from_camera)
+                rng = np.random.default_rng([*job.seed(), 100 + i_camera, i_frame])
+                return view.rgb, stored(measured(view, renderer.K(name), options, rng))
+
+            job.makes.write_camera(
+                group,
+                name,
+                K=K,
+                world_from_cameras=noisy_poses(
+                    world_from_cameras,
+                    options.pose_noise,
+                    name == "overhead",
+                    np.random.default_rng([*job.seed(), 50 + i_camera]),
+                ),
+                time=take.time,
+                depth_scale=DEPTH_SCALE,
+                size=size,
+                read=read,
+                frames=lambda frames, name=name: progress(frames, f"{job.item}: drawing {name}"),  # type: ignore[misc]
+            )
+    if take.robot is not None:
+        robot = take.robot
+        Demonstration.write_robot(out, group, Robot(robot.world_from_gripper, robot.gripper_width, robot.action))
+
+
+def _poses(world: World, renderer: Renderer, camera: str, take: Take) -> np.ndarray:
+    """Where a camera is at each frame, exactly."""
+    import numpy as np
+
+    poses = []
+    for qpos in take.qpos:
+        world.show(qpos)
+        poses.append(renderer.world_from_camera(camera))
+    return np.stack(poses)
+
+
+def _defects(options: SimOptions) -> str:
+    depth = f"{options.depth_noise:.1%} of depth and 1 mm" if options.depth_noise else "none"
+    return (
+        f"depth noise {depth}; flying pixels {options.flying:.1%} of edges; holes {options.holes:.1%} of pixels; "
+        f"pose noise {options.pose_noise:g} x (2 mm, 0.2 degrees)"
+    )
