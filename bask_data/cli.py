@@ -64,6 +64,12 @@ ingest_app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Read a recording into a dataset; one sub-command per format."
 )
 app.add_typer(ingest_app, name="ingest", rich_help_panel="Dataset")
+evaluate_app = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Hold what was made against the truth of recordings that have one.",
+)
+app.add_typer(evaluate_app, name="evaluate", rich_help_panel="Dataset")
 
 
 def main() -> None:
@@ -647,6 +653,48 @@ def dvc(
         for variant in dataset.variants(stage.makes):
             dataset.prepare(stage.makes, variant)
     say(f"next: dvc repro {_quoted(root / 'dvc.yaml')}")
+
+
+@evaluate_app.command("masks")
+@_reporting
+def evaluate_masks(root: Root, only: Only = "", json_: Json = False) -> None:
+    """Objects found, and IoU of their visible masks with the labels.
+
+    Bodies that touch count as one object: geometry cannot tell them apart.
+    """
+    from bask_data.evaluation import evaluated_masks
+
+    with shown_progress():
+        found = evaluated_masks(Dataset(root), _names(only))
+    for scene, score in found["scenes"].items():
+        say(f"  {scene}: {score['n_found']} objects found, {len(score['objects'])} are there")
+        for one in score["objects"]:
+            say(f"    {'+'.join(one['names']):<32} instance {one['instance'] or 'none':<4}  IoU {one['iou']:.3f}")
+    _show_figures(found["all"])
+    if json_:
+        print(json.dumps({"command": "evaluate masks", **found}, indent=2))
+
+
+@evaluate_app.command("correspondences")
+@_reporting
+def evaluate_correspondences(root: Root, only: Only = "", json_: Json = False) -> None:
+    """Pixels between the matches and where the exact depth and cameras say they belong."""
+    from bask_data.evaluation import evaluated_correspondences
+
+    with shown_progress():
+        found = evaluated_correspondences(Dataset(root), _names(only))
+    for scene, figures in found["scenes"].items():
+        say(f"  {scene}")
+        _show_figures(figures)
+    say("  all scenes")
+    _show_figures(found["all"])
+    if json_:
+        print(json.dumps({"command": "evaluate correspondences", **found}, indent=2))
+
+
+def _show_figures(figures: dict[str, float | None]) -> None:
+    for name, value in figures.items():
+        say(f"    {name:<14} {'unknown' if value is None else f'{value:.4g}'}")
 
 
 @app.command()
