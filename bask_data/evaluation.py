@@ -145,7 +145,7 @@ def matches_of(dataset: Dataset, scene: str) -> MatchScore:
 
     scan, truth = Scan(dataset.path(Scan, scene)), Truth(dataset.path(Truth, scene))
     correspondences = Correspondences(dataset.path(Correspondences, scene))
-    if not all(truth.has_depth(name) for name in truth.camera_names):
+    if not truth.has_depth:
         raise BadData(
             truth.path, "depth", expected="exact depth and cameras", got="labels only", fix="bask-data ingest sim ROOT"
         )
