@@ -234,9 +234,10 @@ def rubbish(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
         shade = float(rng.uniform(0.8, 1.0))
         add_geom(paper, "box", size, at, euler=rng.uniform(-0.5, 0.5, 3), tint=(shade, shade, shade, 1), mass=0.008)
     tomato = _body("tomato")
+    rolls_little: dict[str, Any] = {"condim": "6", "friction": (0.9, 0.01, 0.002)}
     SubElement(tomato, "freejoint", {"name": "tomato"})
     round_ = 0.032 * _scale(rng)
-    add_geom(tomato, "ellipsoid", (round_, round_, 0.026), (0, 0, 0.026), mass=0.09)
+    add_geom(tomato, "ellipsoid", (round_, round_, 0.026), (0, 0, 0.026), mass=0.09, **rolls_little)
     add_geom(tomato, "cylinder", (0.004, 0.006), (0, 0, 0.055), tint=(0.3, 0.9, 0.2, 1), mass=0.001)
     can = _body("can")
     SubElement(can, "freejoint", {"name": "can"})

@@ -24,8 +24,10 @@ TABLE = (0.52, 0.42)
 """Half sizes of the table top, metres; the world's origin is its middle, z up."""
 NEAR, FAR = 0.02, 8.0
 STEP = 0.002
-SETTLE = 0.4
-"""Seconds that objects may come to rest before a recording begins."""
+SETTLE, MAX_SETTLE = 0.2, 3.0
+"""Seconds between looks whether all objects lie still, and how long they may take to."""
+STILL = 0.003
+"""Metres and radians a second below which objects count as lying still."""
 OVERHEAD_AT, OVERHEAD_TO, OVERHEAD_FOV_DEG = (0.0, -0.42, 0.88), (0.0, 0.03, 0.03), 46.0
 
 
@@ -213,9 +215,10 @@ class World:
         """Let everything fall into place; whether it stands still then."""
         mujoco = import_mujoco()
         mujoco.mj_forward(self.model, self.data)
-        for _ in range(round(SETTLE / STEP)):
-            mujoco.mj_step(self.model, self.data)
-        still = bool(np.abs(self.data.qvel).max() < 0.02)
+        still = False
+        while not still and self.data.time < MAX_SETTLE:
+            mujoco.mj_step(self.model, self.data, nstep=round(SETTLE / STEP))
+            still = bool(np.abs(self.data.qvel).max() < STILL)
         self.data.qvel[:] = 0
         mujoco.mj_forward(self.model, self.data)
         return still

@@ -255,11 +255,22 @@ def _take(job: Job, studio: _Studio) -> tuple[Take, int]:
     """What happens in a recording, and how many attempts at it failed before."""
     import numpy as np
 
+    from bask_data.sim.experts import demonstrate
     from bask_data.sim.scan import scan
 
     if job.makes is Scan:
         return scan(studio.world, np.random.default_rng(job.seed())), 0
-    raise NotImplementedError
+    for attempt in range(MAX_ATTEMPTS):
+        take = demonstrate(studio.world, np.random.default_rng(job.seed(attempt)))
+        if take is not None:
+            return take, attempt
+    raise UsageError(
+        "ingest sim",
+        job.item,
+        expected=f"a demonstration that succeeds in {MAX_ATTEMPTS} attempts",
+        got="none",
+        fix="use less --clutter.",
+    )
 
 
 def _write(out: Path, out_truth: Path, job: Job, take: Take, studio: _Studio) -> None:
