@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
+from bask_data.core.background import Background, Support, Surface, find_background
 from bask_data.core.clusters import dbscan
-from bask_data.core.planes import above_footprint, find_planes, height, on_plane, preference, refine
+from bask_data.core.planes import height
 
 MAX_INSTANCES = 255
 """Label images are bytes, and 0 is the background."""
 CORE_SHARE = 0.2
 """A core holds by default this share of a flat disc of radius eps: an edge or a pen passes, scattered specks do not."""
-RIVAL_SHARE = 0.5
-"""A second plane this large beside the support is worth a word: the choice between them was close."""
-NOISE_SIGMAS = 4.0
-"""Surface further above the plane than this is no noise of the plane."""
 FOOT_FACING = np.cos(np.deg2rad(60.0))
 """Surface steeper than this against the support is the side of an object, however low it is. Fusion rounds the corner
 between the two; on analytic scenes masks were best at 60 degrees (mean and worst IoU 0.986 and 0.970 at 40, 0.987 and
 0.977 at 60, 0.981 and 0.955 at 75)."""
+FLOATING = 0.03
+"""Metres between the support and the lowest object beyond which the support is doubted."""
 
 
 @dataclass(frozen=True)
@@ -45,27 +45,38 @@ class Instance:
 
 
 @dataclass(frozen=True)
+class Neighbours:
+    """Two objects that nearly touch.
+
+    Args:
+        gap: metres between their surfaces.
+    """
+
+    a: int
+    b: int
+    gap: float
+
+
+@dataclass(frozen=True)
 class Split:
     """A surface split into objects.
 
     Args:
         vertex_instance: 0 background, 1..k the instances, largest surface first.
-        plane: [nx, ny, nz, d] of the support, None without one.
-        noise: standard deviation of the surface about the support, metres.
-        cut: height above the support, metres, from which surface was clustered.
+        background: the planes, and what else is no object.
+        neighbours: pairs of objects that would be one if twice the gap were allowed.
         n_too_small, n_too_large, n_too_many: clusters that were made background, by reason.
         warnings: what a user should look at, one sentence each.
     """
 
     vertex_instance: Int[ndarray, "n"]
     instances: tuple[Instance, ...]
-    plane: Float[ndarray, "4"] | None
-    noise: float = 0.0
-    cut: float = 0.0
+    background: Background
+    neighbours: tuple[Neighbours, ...] = ()
     n_too_small: int = 0
     n_too_large: int = 0
     n_too_many: int = 0
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = ()
 
 
 def vertex_normals_and_areas(
@@ -99,15 +110,14 @@ def split_objects(
     rng: np.random.Generator,
     *,
     voxel_size: float,
+    support: Support = "planes",
     plane: Float[ndarray, "4"] | None = None,
-    without_plane: bool = False,
     up: Float[ndarray, "3"] | None = None,
     guess_up: Float[ndarray, "3"] | None = None,
     inlier: float = 0.01,
-    cut: float | None = None,
+    above: tuple[float, float] | None = None,
     margin: float = 0.0,
-    max_height: float = 1.0,
-    eps: float = 0.03,
+    eps: float = 0.02,
     core_area: float | None = None,
     min_area: float = 0.001,
     max_extent: float = 0.6,
@@ -118,101 +128,60 @@ def split_objects(
         vertices: metres, world.
         triangles: corners counter-clockwise as seen by the cameras.
         voxel_size: metres; what the surface cannot resolve.
+        support: what is background: the support and walls, the support alone, or nothing.
         plane: the support; found when not given.
-        without_plane: there is no support, everything is foreground.
         up: unit vector the support faces, within 30 degrees; any when None.
         guess_up: unit vector; of several planes the one that faces it is preferred.
-        inlier: metres off the plane that still count for it when it is looked for.
-        cut: height above the support, metres, from which surface belongs to objects; by default a voxel or the noise.
+        inlier: metres off a plane that still count for it when it is looked for.
+        above: heights above the support, metres, between which surface belongs to objects; by default from a voxel or
+            the noise to 1 m.
         margin: metres an object may stand out over the seen support.
-        max_height: metres above the support beyond which nothing is an object.
         eps: metres between neighbours of one object.
         core_area: square metres within `eps` that make a core; by default a fifth of a disc of that radius.
         min_area, max_extent: square metres of surface an object has at least, and metres it is long at most.
 
     Raises:
-        ValueError: a size that must be positive is not.
+        ValueError: a size that must be positive is not, or the plane has no normal.
     """
     if voxel_size <= 0 or eps <= 0:
         raise ValueError(f"voxel_size and eps must be > 0 metres, got {voxel_size} and {eps}")
     normals, areas = vertex_normals_and_areas(vertices, triangles)
-    if without_plane:
-        found, noise, warnings = None, 0.0, tuple[str, ...]()
-    else:
-        found, noise, warnings = support(vertices, normals, areas, rng, plane, up, guess_up, inlier)
-    if found is None:
-        cut_height, foreground = 0.0, areas > 0 if without_plane else np.zeros(len(vertices), bool)
-    else:
-        above_found = height(vertices, found)
-        cut_height = max(voxel_size, min(NOISE_SIGMAS * noise, inlier)) if cut is None else cut
-        foreground = (above_found > cut_height) & (above_found < max_height) & (areas > 0)
-        if plane is None:
-            foreground &= over_support(vertices, normals, areas, found, foreground, max(inlier, cut_height), margin)
-    labels, dropped = clustered(
-        vertices, areas, foreground, eps, core_area or CORE_SHARE * np.pi * eps**2, min_area, max_extent
+    scene = find_background(
+        Surface(vertices, normals, areas),
+        rng,
+        voxel_size=voxel_size,
+        support=support,
+        plane=plane,
+        up=up,
+        guess_up=guess_up,
+        inlier=inlier,
+        above=above,
+        margin=margin,
+        max_extent=max_extent,
     )
-    if found is not None:
-        edges = edges_of(triangles)
-        steep = normals @ found[:3] < FOOT_FACING
-        labels = with_feet(labels, edges, steep & (above_found > 0) & (above_found <= cut_height))
-        labels = without_crumbs(labels, edges, above_found, areas, max(inlier, 2 * cut_height), min_area)
-    labels, order = numbered(labels, vertices, areas)
+    core = CORE_SHARE * np.pi * eps**2 if core_area is None else core_area
+    labels, dropped = clustered(vertices, areas, scene.foreground, eps, core, min_area, max_extent)
+    warnings = list(scene.warnings)
+    if scene.support is not None:
+        edges, heights = edges_of(triangles), height(vertices, scene.support.plane)
+        steep = normals @ scene.support.plane[:3] < FOOT_FACING
+        labels = with_feet(labels, edges, steep & scene.feet)
+        labels = without_crumbs(labels, edges, heights, areas, max(inlier, 2 * scene.low), min_area)
+        lowest = heights[labels > 0].min(initial=np.inf)
+        if np.isfinite(lowest) and above is None and lowest > FLOATING:
+            warnings.append(
+                f"nothing stands on the support found: the lowest object begins {100 * lowest:.0f} cm above it; give "
+                "`plane` or `up`"
+            )
+    labels, n_instances = numbered(labels, vertices, areas)
     return Split(
         labels,
-        tuple(describe(labels, order, vertices, areas)),
-        found,
-        noise,
-        cut_height,
+        tuple(describe(labels, n_instances, vertices, areas)),
+        scene,
+        neighbours(labels, n_instances, vertices, 2 * eps),
         *dropped,
-        warnings,
+        tuple(warnings),
     )
-
-
-def support(
-    vertices: Float[ndarray, "n 3"],
-    normals: Float[ndarray, "n 3"],
-    areas: Float[ndarray, "n"],
-    rng: np.random.Generator,
-    plane: Float[ndarray, "4"] | None,
-    up: Float[ndarray, "3"] | None,
-    guess_up: Float[ndarray, "3"] | None,
-    inlier: float,
-) -> tuple[Float[ndarray, "4"] | None, float, tuple[str, ...]]:
-    """The support plane (the given one, or the largest), the noise of its surface in metres, and warnings."""
-    if plane is not None:
-        length = np.linalg.norm(plane[:3])
-        if not length > 0:
-            raise ValueError(f"the plane's normal must not be zero, got {plane.tolist()}")
-        given = plane / length
-        # Refined only to learn the noise: a given plane stays where it was put.
-        return given, refine(given, vertices, normals, areas, inlier).noise, ()
-    planes = find_planes(vertices, normals, areas, rng, inlier, up, guess_up)
-    if not planes:
-        return None, 0.0, ("no support plane was found, so nothing can be told from the background",)
-    best = planes[0]
-    rivals = [one for one in planes[1:] if preference(one, guess_up) > RIVAL_SHARE * preference(best, guess_up)]
-    warnings = tuple(
-        f"a second plane, {np.round(one.plane, 3).tolist()}, holds {one.area:.3f} m2 beside the support's "
-        f"{best.area:.3f} m2: if the objects stand on that one, give `plane` or `up`"
-        for one in rivals
-    )
-    return best.plane, best.noise, warnings
-
-
-def over_support(
-    vertices: Float[ndarray, "n 3"],
-    normals: Float[ndarray, "n 3"],
-    areas: Float[ndarray, "n"],
-    plane: Float[ndarray, "4"],
-    candidates: Bool[ndarray, "n"],
-    inlier: float,
-    margin: float,
-) -> Bool[ndarray, "n"]:
-    """The candidates that are over the seen part of the support, and not beside it."""
-    surface = on_plane(vertices, normals, plane, inlier) & (areas > 0)
-    result = candidates.copy()
-    result[candidates] = above_footprint(vertices[candidates], plane, vertices[surface], areas[surface], margin)
-    return result
 
 
 def clustered(
@@ -309,3 +278,22 @@ def describe(
         dx, dy, dz = np.ptp(vertices[mine], axis=0).tolist()
         rows.append(Instance(instance, int(mine.sum()), float(areas[mine].sum()), (x, y, z), (dx, dy, dz)))
     return rows
+
+
+def neighbours(
+    labels: Int[ndarray, "n"], n_instances: int, vertices: Float[ndarray, "n 3"], reach: float
+) -> tuple[Neighbours, ...]:
+    """Pairs of instances whose surfaces come within `reach` metres of each other."""
+    points = [vertices[labels == instance] for instance in range(1, n_instances + 1)]
+    trees = [cKDTree(own) for own in points]
+    pairs = []
+    for a in range(n_instances):
+        for b in range(a + 1, n_instances):
+            if (np.maximum(trees[a].mins - trees[b].maxes, trees[b].mins - trees[a].maxes) > reach).any():
+                continue
+            # Only what is near the other's box is worth a search.
+            near = ((points[a] >= trees[b].mins - reach) & (points[a] <= trees[b].maxes + reach)).all(axis=1)
+            gap = trees[b].query(points[a][near], distance_upper_bound=reach)[0].min(initial=np.inf)
+            if np.isfinite(gap):
+                pairs.append(Neighbours(a + 1, b + 1, float(gap)))
+    return tuple(pairs)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from bask_data.artifact import ArraySpec, Artifact, Metadata
 from bask_data.kinds.arrays import read_all, start, write_array
@@ -30,10 +31,41 @@ class InstanceRow(Metadata):
     extents: tuple[float, float, float]
 
 
+class PlaneRow(Metadata):
+    """A plane of the background: the support, or structure such as the wall of a bin.
+
+    Args:
+        plane: nx, ny, nz, d in the world frame, metres: n.x + d = 0, n towards where it was seen from.
+        area_m2: surface on it, square metres.
+        noise_m: standard deviation of that surface about the plane, metres.
+    """
+
+    role: Literal["support", "structure"]
+    plane: tuple[float, float, float, float]
+    area_m2: float
+    noise_m: float
+
+
+class NeighbourRow(Metadata):
+    """Two objects that nearly touch: with twice the gap that was allowed within an object they would be one.
+
+    Args:
+        a, b: ids of the objects.
+        gap_m: metres between their surfaces.
+    """
+
+    a: int
+    b: int
+    gap_m: float
+
+
 class ObjectsMetadata(Metadata):
-    """The objects, largest first, and what the stage wants a person to know (`warnings`)."""
+    """The objects, largest first; the planes taken for background, the support first; pairs of objects that nearly
+    touch; and what the stage wants a person to know (`warnings`)."""
 
     instances: list[InstanceRow]
+    planes: list[PlaneRow] = []
+    neighbours: list[NeighbourRow] = []
     warnings: list[str] = []
 
 
@@ -42,6 +74,7 @@ class ObjectInstances(Artifact):
 
     kind = "objects"
     scope = "scene"
+    schema_version = 2
     metadata_model = ObjectsMetadata
     arrays = {
         "vertex_instance": ArraySpec(
@@ -77,9 +110,16 @@ class ObjectInstances(Artifact):
         support_plane: np.ndarray,
         instances: list[InstanceRow],
         warnings: list[str],
+        planes: Sequence[PlaneRow] = (),
+        neighbours: Sequence[NeighbourRow] = (),
     ) -> None:
-        """Write the labels of all vertices and the table of objects."""
-        metadata = {"instances": [row.model_dump() for row in instances], "warnings": warnings}
+        """Write the labels of all vertices, the table of objects and what was found around them."""
+        metadata = {
+            "instances": [row.model_dump() for row in instances],
+            "planes": [row.model_dump() for row in planes],
+            "neighbours": [row.model_dump() for row in neighbours],
+            "warnings": warnings,
+        }
         group = start(out, ObjectInstances, metadata)
         write_array(group, ObjectInstances, "vertex_instance", vertex_instance)
         write_array(group, ObjectInstances, "support_plane", support_plane)

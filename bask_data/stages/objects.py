@@ -5,23 +5,27 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from bask_data.errors import UsageError
 from bask_data.kinds import InstanceRow, ObjectInstances, Reconstruction, Scan
+from bask_data.kinds.objects import NeighbourRow, PlaneRow
 from bask_data.stage import Params, stage
 
 if TYPE_CHECKING:
     import numpy as np
 
     from bask_data.core.objects import Split
+    from bask_data.core.planes import Plane
 
 
 class ObjectsParams(Params):
     """What changes the split."""
 
-    support: Literal["plane", "none"] = Field(
-        "plane", description="What the objects stand on; none: everything in the workspace is an object."
+    support: Literal["planes", "plane", "none"] = Field(
+        "planes",
+        description="What is background. planes: the plane the objects stand on, and walls of bins and shelves; plane: "
+        "the former only; none: nothing, all in the workspace is objects.",
     )
     plane: tuple[float, float, float, float] | None = Field(
         None,
@@ -33,15 +37,13 @@ class ObjectsParams(Params):
         description="Only look for a support facing this way, in the world frame. Default: guessed from the cameras.",
     )
     inlier: float = Field(0.01, gt=0, description="Metres a point may be off the support while it is looked for.")
-    cut: float | None = Field(
+    above: tuple[float, float] | None = Field(
         None,
-        ge=0,
-        description="Height above the support from which surface is clustered, metres. "
-        "Default: a voxel, or 4 sigma of the support's noise.",
+        description="Heights above the support between which surface is objects, metres: 0.01,0.3. "
+        "Default: from a voxel, or 4 sigma of the support's noise, to 1 m.",
     )
     margin: float = Field(0.0, description="Metres an object may stand out over the edge of the support that was seen.")
-    max_height: float = Field(1.0, gt=0, description="Metres above the support beyond which nothing is an object.")
-    eps: float = Field(0.03, gt=0, description="Largest gap within one object, metres.")
+    eps: float = Field(0.02, gt=0, description="Largest gap within one object, metres.")
     core_area: float | None = Field(
         None,
         gt=0,
@@ -52,44 +54,55 @@ class ObjectsParams(Params):
     names: tuple[str, ...] = Field((), description="Names of the objects, that of the largest surface first.")
     seed: int = Field(0, ge=0, description="Seed of the random choices.")
 
+    @field_validator("above")
+    @classmethod
+    def _low_first(cls, heights: tuple[float, float] | None) -> tuple[float, float] | None:
+        if heights is not None and not 0 <= heights[0] < heights[1]:
+            raise ValueError("low,high in metres with 0 <= low < high")
+        return heights
 
-@stage(makes=ObjectInstances, version=1)
+
+@stage(makes=ObjectInstances, version=2)
 def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, out: Path) -> None:
     """Split the surface into the objects on its support and the background.
 
-    The support is the largest plane that faces up, as far as the cameras tell. What stands on it is clustered
-    (DBSCAN); objects are numbered by their surface, the largest first. Objects that touch are one.
+    The support is the largest plane that faces up, as far as the cameras tell, and that has little surface below it.
+    What stands on it, walls left out, is clustered (DBSCAN); objects are numbered by their surface, the largest first.
+    Objects that touch are one; the table of objects says which nearly touch.
     """
     import numpy as np
 
     from bask_data.core.objects import split_objects
     from bask_data.core.planes import upward
 
-    if params.plane is not None and params.support == "none":
-        raise UsageError("objects", "plane", expected="no plane with --support none", got=f"{params.plane}")
+    for name in ("plane", "above"):
+        if params.support == "none" and getattr(params, name) is not None:
+            raise UsageError("objects", name, expected=f"no {name} with --support none", got=f"{getattr(params, name)}")
     split = split_objects(
         reconstruction.vertices,
         reconstruction.triangles,
         np.random.default_rng(params.seed),
         voxel_size=reconstruction.voxel_size,
+        support=params.support,
         plane=_vector("plane", params.plane),
-        without_plane=params.support == "none",
         up=_unit("up", params.up),
         guess_up=upward(np.concatenate([camera.world_from_cameras for camera in scan.cameras])),
         inlier=params.inlier,
-        cut=params.cut,
+        above=params.above,
         margin=params.margin,
-        max_height=params.max_height,
         eps=params.eps,
         core_area=params.core_area,
         min_area=params.min_area,
         max_extent=params.max_extent,
     )
     names = [*params.names, *[""] * len(split.instances)]
+    support = split.background.support
+    rows = [_plane_row("support", support)] if support else []
+    rows += [_plane_row("structure", one) for one in split.background.structure]
     ObjectInstances.write(
         out,
         vertex_instance=split.vertex_instance,
-        support_plane=np.zeros(4) if split.plane is None else split.plane,
+        support_plane=support.plane if support else np.zeros(4),
         instances=[
             InstanceRow(
                 id=one.id,
@@ -101,8 +114,15 @@ def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, o
             )
             for one, name in zip(split.instances, names, strict=False)
         ],
+        planes=rows,
+        neighbours=[NeighbourRow(a=one.a, b=one.b, gap_m=one.gap) for one in split.neighbours],
         warnings=_warnings(split, params),
     )
+
+
+def _plane_row(role: Literal["support", "structure"], found: Plane) -> PlaneRow:
+    nx, ny, nz, d = found.plane.tolist()
+    return PlaneRow(role=role, plane=(nx, ny, nz, d), area_m2=found.area, noise_m=found.noise)
 
 
 def _vector(name: str, values: tuple[float, ...] | None) -> np.ndarray | None:
@@ -136,8 +156,11 @@ def _warnings(split: Split, params: ObjectsParams) -> list[str]:
     if not split.instances:
         told.append(
             f"no object was found ({split.n_too_small} clusters smaller than {params.min_area} m2): look at the mesh, "
-            "then see --plane, --up, --cut and --min-area"
+            "then see --plane, --up, --above and --min-area"
         )
-    elif len(params.names) > len(split.instances):
+    if split.neighbours:
+        pairs = ", ".join(f"{one.a} and {one.b} ({100 * one.gap:.1f} cm)" for one in split.neighbours)
+        told.append(f"objects that nearly touch: {pairs}")
+    if split.instances and len(params.names) > len(split.instances):
         told.append(f"{len(params.names)} names were given, but {len(split.instances)} objects found")
     return told

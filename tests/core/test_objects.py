@@ -20,7 +20,7 @@ def test_every_object_is_found_and_numbered_by_its_surface():
     assert [round(one.area, 4) for one in result.instances] == pytest.approx([0.0316, 0.0208, 0.0125], abs=0.0015)
     expected = np.array([0, 1, 3, 2])[truth]
     assert (result.vertex_instance == expected).mean() > 0.995
-    np.testing.assert_allclose(result.plane, [0, 0, 1, 0], atol=1e-4)
+    np.testing.assert_allclose(result.background.support.plane, [0, 0, 1, 0], atol=1e-4)
     np.testing.assert_allclose(result.instances[0].extents, (0.10, 0.06, 0.08), atol=0.005)
     np.testing.assert_allclose(result.instances[0].centroid[:2], (-0.15, -0.07), atol=1e-3)
     assert result.instances[0].n_vertices == (result.vertex_instance == 1).sum()
@@ -37,14 +37,14 @@ def test_the_lowest_centimetre_belongs_to_the_object():
 
 def test_without_its_feet_an_object_ends_at_the_cut():
     vertices, triangles, truth = table(THREE, step=0.002)
-    result = split(vertices, triangles, cut=0.01)
+    result = split(vertices, triangles, above=(0.01, 1.0))
     below = (truth > 0) & (vertices[:, 2] > 0) & (vertices[:, 2] < 0.01)
     feet = np.flatnonzero(below)
     assert (result.vertex_instance[feet] > 0).all()
     # The same vertices are lost when the mesh does not join them to the object.
     z = vertices[triangles][:, :, 2]
     loose = triangles[~((z > 0.009).any(axis=1) & (z < 0.011).any(axis=1))]
-    assert (split(vertices, loose, cut=0.01).vertex_instance[feet] == 0).mean() > 0.9
+    assert (split(vertices, loose, above=(0.01, 1.0)).vertex_instance[feet] == 0).mean() > 0.9
 
 
 def test_bumps_of_the_table_beside_an_object_are_table():
@@ -71,8 +71,8 @@ def test_noise_of_the_table_is_no_object():
     vertices, triangles, _ = table(THREE, noise=0.0015)
     result = split(vertices, triangles)
     assert len(result.instances) == 3
-    assert result.noise == pytest.approx(0.0015, rel=0.1)
-    assert result.cut == pytest.approx(4 * result.noise)
+    assert result.background.support.noise == pytest.approx(0.0015, rel=0.1)
+    assert result.background.low == pytest.approx(4 * result.background.support.noise)
 
 
 @settings(max_examples=8)
@@ -87,7 +87,7 @@ def test_a_rigid_motion_changes_nothing(seed):
     moved = transform(moved_from_world, vertices.astype(float)).astype(np.float32)
     result = split(moved, triangles, seed=seed % 1000)
     assert (result.vertex_instance == np.array([0, 1, 3, 2])[truth]).mean() > 0.99
-    assert moved_from_world[:3, 2] @ result.plane[:3] > 0.99999
+    assert moved_from_world[:3, 2] @ result.background.support.plane[:3] > 0.99999
 
 
 @settings(max_examples=8)
@@ -113,15 +113,15 @@ def test_a_given_plane_is_kept_and_bounds_nothing_but_below():
     # Only the objects, as when a shiny floor is not seen at all.
     triangles = triangles[(truth[triangles] > 0).all(axis=1)]
     result = split(vertices, triangles, plane=np.array([0.0, 0, 2.0, -0.02]))
-    np.testing.assert_array_equal(result.plane, [0, 0, 1, -0.01])
+    np.testing.assert_array_equal(result.background.support.plane, [0, 0, 1, -0.01])
     assert len(result.instances) == 3
-    assert split(vertices, triangles, without_plane=True).plane is None
-    assert len(split(vertices, triangles, without_plane=True).instances) == 3
+    assert split(vertices, triangles, support="none").background.support is None
+    assert len(split(vertices, triangles, support="none").instances) == 3
 
 
 def test_without_a_plane_the_table_joins_what_stands_on_it():
     vertices, triangles, _ = table(THREE)
-    [only] = split(vertices, triangles, without_plane=True, max_extent=1.0).instances
+    [only] = split(vertices, triangles, support="none", max_extent=1.0).instances
     assert only.n_vertices == len(vertices)
 
 
@@ -146,7 +146,7 @@ def test_what_is_beside_the_table_or_far_above_it_is_background():
     )
     hanging = truth == 5
     vertices[hanging, 2] += 0.8
-    result = split(vertices, triangles, max_height=0.6)
+    result = split(vertices, triangles, above=(0.004, 0.6))
     assert (result.vertex_instance[(truth == 4) | hanging] == 0).all()
     assert len(result.instances) == 3
 
@@ -154,7 +154,7 @@ def test_what_is_beside_the_table_or_far_above_it_is_background():
 def test_no_more_than_255_instances():
     row = [block(0.03 * i, 0.03 * j, (0.01, 0.01, 0.01), 0.01) for i in range(20) for j in range(14)]
     small_vertices, small_triangles, _ = joined(row)
-    result = split(small_vertices, small_triangles, without_plane=True, eps=0.015, max_extent=9.0, min_area=1e-5)
+    result = split(small_vertices, small_triangles, support="none", eps=0.015, max_extent=9.0, min_area=1e-5)
     assert (len(result.instances), result.n_too_many) == (255, 25)
     assert result.vertex_instance.max() == 255
 
@@ -173,7 +173,7 @@ def test_an_empty_table_has_no_objects_and_an_empty_mesh_no_plane():
     assert result.instances == ()
     assert not result.vertex_instance.any()
     nothing = split(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
-    assert nothing.plane is None
+    assert nothing.background.support is None
     assert "no support plane was found" in nothing.warnings[0]
 
 
@@ -182,7 +182,7 @@ def test_a_rival_plane_is_reported():
     wall = sheet((0.3, -0.3, 0), (0, 0.6, 0), (-1e-9, 0, 0.5), 0.006)
     vertices, triangles, _ = joined([floor, (wall[0], wall[1][:, ::-1])])
     result = split(vertices, triangles)
-    np.testing.assert_allclose(result.plane, [0, 0, 1, 0], atol=1e-3)
+    np.testing.assert_allclose(result.background.support.plane, [0, 0, 1, 0], atol=1e-3)
     assert "a second plane, [-1.0, " in result.warnings[0]
     assert split(vertices, triangles, up=np.array([0.0, 0, 1])).warnings == ()
 
@@ -191,7 +191,7 @@ def test_same_seed_same_labels():
     vertices, triangles, _ = table(THREE, noise=0.001)
     one, two = split(vertices, triangles, seed=3), split(vertices, triangles, seed=3)
     np.testing.assert_array_equal(one.vertex_instance, two.vertex_instance)
-    np.testing.assert_array_equal(one.plane, two.plane)
+    np.testing.assert_array_equal(one.background.support.plane, two.background.support.plane)
 
 
 @pytest.mark.parametrize("options", [{"voxel_size": 0.0}, {"eps": 0.0}])

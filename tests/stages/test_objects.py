@@ -4,14 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from bask_data.dataset import Dataset
 from bask_data.kinds import ObjectInstances
 from bask_data.stage import make, plan
-from bask_data.stages.objects import objects
+from bask_data.stages.objects import ObjectsParams, objects
 from tests import scenes
 from tests.datasets import publish_mesh, publish_recording
-from tests.meshes import THREE, table
+from tests.meshes import THREE, block, joined, sheet, table
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -52,11 +53,37 @@ def test_the_artifact_holds_labels_support_and_table_of_objects(tmp_path):
     assert [(row.id, row.name) for row in result.instances] == [(1, "box"), (2, "tower"), (3, "")]
     assert [row.n_vertices for row in result.instances] == np.bincount(result.vertex_instance)[1:].tolist()
     assert result.metadata.warnings == []
+    [support] = result.metadata.planes
+    assert (support.role, support.plane) == ("support", tuple(result.support_plane.tolist()))
+    assert support.area_m2 == pytest.approx(0.42, rel=0.05)
+    assert support.noise_m < 1e-4
+    assert result.metadata.neighbours == []
 
 
-def test_version_1_gives_the_golden_result(tmp_path):
-    golden = np.load(GOLDEN / "objects_v1.npz")
-    assert objects.version == 1, "save a golden file for the new version"
+def test_walls_are_told_as_structure_and_objects_that_nearly_touch_as_neighbours(tmp_path):
+    vertices, triangles, _ = joined(
+        [
+            table(THREE)[:2],
+            block(-0.094, -0.1, (0.04, 0.06, 0.08), 0.004),
+            sheet((-0.35, 0.28, 0), (0.7, 0, 0), (0, 0, 0.2), 0.004),
+        ]
+    )
+    dataset = dataset_of(tmp_path / "d", vertices, triangles)
+    result = made(dataset, eps=0.005)
+    assert [row.role for row in result.metadata.planes] == ["support", "structure"]
+    np.testing.assert_allclose(result.metadata.planes[1].plane, [0, -1, 0, 0.28], atol=2e-3)
+    [pair] = result.metadata.neighbours
+    assert (pair.a, pair.b) == (1, 3)
+    assert pair.gap_m == pytest.approx(0.006, abs=1e-4)
+    assert result.metadata.warnings == ["objects that nearly touch: 1 and 3 (0.6 cm)"]
+    with_wall = made(dataset, eps=0.005, support="plane")
+    assert [row.role for row in with_wall.metadata.planes] == ["support"]
+    assert "1 clusters longer than 0.6 m became background" in with_wall.metadata.warnings[0]
+
+
+def test_version_2_gives_the_golden_result(tmp_path):
+    golden = np.load(GOLDEN / "objects_v2.npz")
+    assert objects.version == 2, "save a golden file for the new version"
     vertices, triangles, _ = table(THREE, noise=0.0008)
     result = made(dataset_of(tmp_path / "d", vertices, triangles))
     np.testing.assert_array_equal(result.vertex_instance, golden["vertex_instance"])
@@ -105,6 +132,7 @@ def test_what_was_dropped_is_told(tmp_path):
     ("options", "message"),
     [
         ({"support": "none", "plane": (0, 0, 1, 0)}, "plane: expected no plane with --support none"),
+        ({"support": "none", "above": (0.01, 0.2)}, "above: expected no above with --support none, got (0.01, 0.2)"),
         ({"plane": (0, 0, 0, 1)}, "plane: expected a direction that is not zero, got 0.0,0.0,0.0,1.0"),
         ({"up": (0, 0, 0)}, "up: expected a direction that is not zero, got 0.0,0.0,0.0"),
     ],
@@ -113,6 +141,11 @@ def test_a_wrong_option_is_refused(tmp_path, options, message):
     outcome = run(dataset_of(tmp_path / "d", *table([])[:2]), **options)
     assert outcome.status == "failed"
     assert message in outcome.why
+
+
+def test_heights_in_the_wrong_order_are_refused():
+    with pytest.raises(ValidationError, match="low,high in metres with 0 <= low < high"):
+        ObjectsParams(above=(0.3, 0.01))
 
 
 if __name__ == "__main__":  # Run as a module when the version was raised: python -m tests.stages.test_objects
