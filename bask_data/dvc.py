@@ -81,18 +81,26 @@ def _yaml_value(value: Any) -> str:
 
 
 def _ingest(dataset: Dataset, kind: str, item: str, source: Source) -> dict[str, Any]:
-    options = [f"--{name.replace('_', '-')} {_shell(value)}" for name, value in source.options.items()]
+    options = [_option(name, value) for name, value in source.options.items()]
     outs = [f"{kind}/{item}"] + ([f"truth/{item}"] if (dataset.root / "truth" / item).exists() else [])
-    words = [
-        f"bask-data ingest {source.format} {_shell(source.path)} . --scene {item} --as {kind} --force",
-        *options,
-    ]
+    if source.path:
+        words = f"bask-data ingest {source.format} {_shell(source.path)} . --scene {item} --as {kind} --force"
+    else:
+        words = f"bask-data ingest {source.format} . --only {item} --force"
     return {
-        "desc": f"Read {source.path}",
-        "cmd": " ".join(words),
-        "deps": [source.path],
+        "desc": f"Read {source.path}" if source.path else f"Make {item}",
+        "cmd": " ".join([words, *options]),
+        **({"deps": [source.path]} if source.path else {}),
         "outs": [{out: {"persist": True}} for out in outs],
     }
+
+
+def _option(name: str, value: Any) -> str:
+    """A value as the command line takes it."""
+    flag = name.replace("_", "-")
+    if isinstance(value, bool):
+        return f"--{flag}" if value else f"--no-{flag}"
+    return f"--{flag} {_shell(','.join(map(str, value)) if isinstance(value, list) else value)}"
 
 
 def _stage(dataset: Dataset, task: Task, config: Config) -> dict[str, Any]:

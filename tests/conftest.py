@@ -17,7 +17,7 @@ import hypothesis
 import jaxtyping
 import jaxtyping._import_hook as import_hook
 
-CHECKED = ("bask_data.core", "bask_data.formats", "bask_data.nn")
+CHECKED = ("bask_data.core", "bask_data.formats", "bask_data.nn", "bask_data.sim")
 
 
 def _is_compiled(decorator: ast.expr) -> bool:

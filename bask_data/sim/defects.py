@@ -58,6 +58,7 @@ def with_flying_pixels(
     """The same depth, but some pixels at edges lie anywhere between front and back."""
     edges, near, far = depth_edges(depth)
     flies = edges & (rng.random(depth.shape) < share)
+    near = np.where(edges, near, 0)
     between = near + rng.random(depth.shape, dtype=np.float32) * (far - near)
     return np.where(flies, between, depth).astype(np.float32)
 
@@ -77,9 +78,17 @@ def holes(view: View, K: Float[ndarray, "3 3"], share: float, rng: np.random.Gen
 def grazing(depth: Float32[ndarray, "h w"], K: Float[ndarray, "3 3"]) -> Float[ndarray, "h w"]:
     """0 where a surface faces the camera, 1 where it is seen edge on."""
     points = unproject(pixel_grid(*depth.shape), depth.astype(np.float64), K)
-    normals = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
+    normals = np.cross(_smaller_step(points, 1), _smaller_step(points, 0))
     lengths = np.linalg.norm(normals, axis=-1) * np.linalg.norm(points, axis=-1)
     return 1 - np.abs((normals * points).sum(axis=-1)) / np.maximum(lengths, 1e-12)
+
+
+def _smaller_step(points: Float[ndarray, "h w 3"], axis: int) -> Float[ndarray, "h w 3"]:
+    """To the neighbour along an axis, on the side that lies nearer: a step across a depth edge is no slope."""
+    steps = np.diff(points, axis=axis)
+    first, last = (np.take(steps, [i], axis=axis) for i in (0, -1))
+    before, after = np.concatenate([first, steps], axis=axis), np.concatenate([steps, last], axis=axis)
+    return np.where(np.abs(before[..., 2:]) < np.abs(after[..., 2:]), before, after)
 
 
 def noisy_poses(

@@ -1,31 +1,27 @@
-"""MuJoCo, imported with a renderer that needs no screen, or a word on what is missing."""
+"""MuJoCo, and what it draws with where there is no screen; or a word on what is missing."""
 
 from __future__ import annotations
 
 import os
 import sys
+from importlib import import_module
 from types import ModuleType
 from typing import Any
 
 from bask_data.errors import MissingDependency
 
 NO_GL_FIX = (
-    "sudo apt-get install --no-install-recommends libegl1 libegl-mesa0 libgl1-mesa-dri; without EGL: "
-    "sudo apt-get install libosmesa6, and set MUJOCO_GL=osmesa."
+    "sudo apt-get install --no-install-recommends libegl1 libegl-mesa0 libgl1-mesa-dri; or, where EGL will not work, "
+    "sudo apt-get install libosmesa6 and set MUJOCO_GL=osmesa."
 )
 
 
 def import_mujoco() -> ModuleType:
     """The module `mujoco`.
 
-    MuJoCo decides when it is imported what to draw with, and on Linux takes windows unless told otherwise; EGL works
-    with and without a screen.
-
     Raises:
-        MissingDependency: MuJoCo is not installed, or what it draws with is not.
+        MissingDependency: it is not installed, or cannot load what `MUJOCO_GL` names.
     """
-    if sys.platform == "linux":
-        os.environ.setdefault("MUJOCO_GL", "egl")
     try:
         import mujoco
     except ModuleNotFoundError as error:
@@ -33,32 +29,37 @@ def import_mujoco() -> ModuleType:
             "simulator", error.name or "", expected="MuJoCo", got="none", fix="pip install 'bask-data[sim]'"
         ) from None
     except Exception as error:
-        # PyOpenGL raises whatever it meets when a library is missing: AttributeError, TypeError, its own errors.
-        raise _no_gl(error) from error
+        raise _nothing_to_draw_with(os.environ.get("MUJOCO_GL", ""), error) from error
     return mujoco
 
 
-def gl_context(width: int, height: int) -> Any:
-    """An off-screen OpenGL context of at least this size, made current.
+def drawing(model: Any) -> tuple[Any, Any]:
+    """An off-screen OpenGL context, made current, and MuJoCo's drawing context with the model's textures in it.
+
+    On Linux MuJoCo would open a window unless `MUJOCO_GL` says otherwise; EGL works with and without a screen.
 
     Raises:
-        MissingDependency: this machine cannot make one.
+        MissingDependency: this machine has nothing to draw with.
     """
     mujoco = import_mujoco()
+    backend = os.environ.get("MUJOCO_GL") or ("egl" if sys.platform == "linux" else "glfw")
     try:
-        context = mujoco.GLContext(width, height)
+        # The choice behind `mujoco.GLContext` was made when somebody first imported MuJoCo; ours must not depend on it.
+        context = import_module(f"mujoco.{backend}").GLContext(model.vis.global_.offwidth, model.vis.global_.offheight)
         context.make_current()
+        drawer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
     except Exception as error:
-        raise _no_gl(error) from error
-    return context
+        raise _nothing_to_draw_with(backend, error) from error
+    return context, drawer
 
 
-def _no_gl(error: Exception) -> MissingDependency:
-    backend = os.environ.get("MUJOCO_GL", "")
+def _nothing_to_draw_with(backend: str, error: Exception) -> MissingDependency:
+    """Of whatever PyOpenGL and the bindings raise: AttributeError, TypeError, errors of their own."""
+    said = (str(error).splitlines() or [""])[0]
     return MissingDependency(
         "simulator",
         f"MUJOCO_GL={backend}",
         expected="OpenGL without a screen",
-        got=f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'nothing works'}",
+        got=f"{type(error).__name__}: {said}",
         fix=NO_GL_FIX,
     )

@@ -83,7 +83,7 @@ def _at_door(world: World, angle: float, off: float, height: float) -> Float[nda
 
 def microwave_is_closed(world: World) -> bool:
     """The door stands at most three degrees open."""
-    return abs(float(world.data.joint("door").qpos[0])) < np.radians(3)
+    return abs(float(world.data.joint("door").qpos[0])) < float(np.radians(3))
 
 
 # Take the lid off -----------------------------------------------------------------------------------------------------
@@ -93,7 +93,7 @@ def take_lid_off(operator: Operator) -> None:
     """Lift the lid by its knob and lay it down beside the pan."""
     world = operator.world
     lid = world.world_from_body("lid")[:3, 3]
-    grasp = lid + [0, 0, world.dimensions["knob"]]
+    grasp = raised(lid, world.dimensions["knob"])
     yaw = float(operator.rng.uniform(-0.6, 0.6))
     spot = free_spot(world, "lid", world.dimensions["radius"] + 0.004, operator.rng)
     pick(operator, grasp, yaw)
@@ -105,7 +105,7 @@ def lid_is_off(world: World) -> bool:
     """The lid lies flat on the table beside the pan."""
     lid, pan = world.world_from_body("lid"), world.world_from_body("saucepan")
     apart = float(np.linalg.norm(lid[:2, 3] - pan[:2, 3]))
-    return apart > 2 * world.dimensions["radius"] and abs(lid[2, 3]) < 0.004 and lid[2, 2] > np.cos(np.radians(4))
+    return bool(apart > 2 * world.dimensions["radius"] and abs(lid[2, 3]) < 0.004 and lid[2, 2] > np.cos(np.radians(4)))
 
 
 # Put the phone on its base --------------------------------------------------------------------------------------------
@@ -115,7 +115,7 @@ def put_phone_on_base(operator: Operator) -> None:
     """Grasp the handset by its bar, turn it as the base lies, and set it down between the cradle's cheeks."""
     world, size = operator.world, operator.world.dimensions
     phone, base = world.world_from_body("phone"), world.world_from_body("base")
-    bar = phone[:3, 3] + [0, 0, size["bar"]]
+    bar = raised(phone[:3, 3], size["bar"])
     yaw = nearest_half_turn(float(np.arctan2(phone[1, 0], phone[0, 0])))
     pick(operator, bar, yaw)
     operator.shift(z=0.14)
@@ -179,9 +179,14 @@ def rubbish_is_in_bin(world: World) -> bool:
 # What the tasks share -------------------------------------------------------------------------------------------------
 
 
+def raised(point: Float[ndarray, "3"], by: float) -> Float[ndarray, "3"]:
+    """The point `by` metres higher."""
+    return np.array([point[0], point[1], point[2] + by])
+
+
 def pick(operator: Operator, at: Float[ndarray, "3"], yaw: float) -> None:
     """Close the open fingers around a point, from above."""
-    operator.move(to=pointing_down(at + [0, 0, ABOVE], yaw))
+    operator.move(to=pointing_down(raised(at, ABOVE), yaw))
     operator.move(to=pointing_down(at, yaw), slow=1.5)
     operator.wait(2)
     operator.grip(0.0)

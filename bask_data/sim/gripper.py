@@ -6,7 +6,6 @@ weld to a moving target carries the hand as a robot's arm would; fingers are dri
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
@@ -14,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from bask_data.sim.objects import add_geom, numbers
+from bask_data.sim.objects import Vector, add_geom, numbers
 
 LABEL = 255
 GROUP = 1
@@ -67,5 +66,5 @@ def add_gripper(mujoco: Element, world: Element) -> None:
         )
 
 
-def _add_part(parent: Element, kind: str, size: Sequence[float], pos: Sequence[float], **attributes: Any) -> None:
+def _add_part(parent: Element, kind: str, size: Vector, pos: Vector, **attributes: Any) -> None:
     add_geom(parent, kind, size, pos, material="gripper", group=str(GROUP), **attributes)

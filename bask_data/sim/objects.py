@@ -15,6 +15,7 @@ import numpy as np
 from bask_data.sim.options import TaskName
 
 Range = tuple[float, float]
+Vector = Sequence[float | int] | np.ndarray
 
 
 @dataclass(frozen=True)
@@ -67,11 +68,11 @@ def numbers(values: object) -> str:
 def add_geom(
     parent: Element,
     kind: str,
-    size: Sequence[float] | np.ndarray,
-    pos: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
+    size: Vector,
+    pos: Vector = (0, 0, 0),
     *,
     material: str = "",
-    tint: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0),
+    tint: Vector = (1, 1, 1, 1),
     **attributes: object,
 ) -> Element:
     """A primitive. `tint` multiplies the texture; its last number below 1 makes the primitive transparent."""

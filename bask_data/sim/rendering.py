@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray
 
 from bask_data.sim import gripper
-from bask_data.sim.engine import gl_context, import_mujoco
+from bask_data.sim.engine import drawing, import_mujoco
 from bask_data.sim.world import FAR, NEAR, World
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
@@ -46,11 +46,10 @@ class Renderer:
         mujoco = import_mujoco()
         self._mujoco, self._world = mujoco, world
         model = world.model
-        self._gl = gl_context(model.vis.global_.offwidth, model.vis.global_.offheight)
+        self._gl, self._context = drawing(model)
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 50)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
-        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         # Reversed depth keeps its precision far away.
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
