@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bask_data.errors import UsageError
+from bask_data.sim import world as world_module
+from bask_data.sim.options import MAX_CLUTTER, TASKS, SimOptions, TaskName
+from bask_data.sim.world import GAP, TABLE, World
+from tests.sim.worlds import world_of
+
+TOUCHING: dict[TaskName, list[list[int]]] = {"microwave": [[1, 2]], "lid": [[1, 2]], "phone": [], "rubbish": []}
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_objects_stand_apart_and_still_on_the_table_wherever_they_are_put(task: TaskName) -> None:
+    world = world_of(task, clutter=3)
+    places = []
+    for seed in range(6):
+        world.restore(world.lay_out(np.random.default_rng(seed)))
+        things = list(world.things.values())
+        for i, a in enumerate(things):
+            for b in things[:i]:
+                gap = world.distance(world.geoms_of(a.name), world.geoms_of(b.name), 1.0)
+                assert gap > GAP - 1e-3 or a.on == b.name
+        poses = world.world_from_objects()
+        assert (np.abs(poses[:, :2, 3]) < TABLE).all()
+        assert (poses[:, 2, 3] > -0.01).all()
+        assert world.touching() == TOUCHING[task]
+        places.append(poses[:, :2, 3])
+    assert np.std(places, axis=0).max() > 0.03
+
+
+def test_same_seed_gives_the_same_world_and_another_seed_other_objects() -> None:
+    one, same, other = (World(SimOptions(task="rubbish", seed=seed)) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one.model.tex_data, same.model.tex_data)
+    np.testing.assert_array_equal(one.model.geom_size, same.model.geom_size)
+    assert (one.model.tex_data != other.model.tex_data).mean() > 0.5
+    assert not np.allclose(one.model.geom_size, other.model.geom_size)
+    layouts = [world.lay_out(np.random.default_rng(7)) for world in (one, same)]
+    for name in vars(layouts[0]):
+        np.testing.assert_array_equal(getattr(layouts[0], name), getattr(layouts[1], name))
+
+
+def test_a_scene_does_not_depend_on_the_ones_before() -> None:
+    world = World(SimOptions(task="phone"))
+    fresh = world.lay_out(np.random.default_rng(5))
+    world.lay_out(np.random.default_rng(6))
+    again = world.lay_out(np.random.default_rng(5))
+    np.testing.assert_array_equal(fresh.qpos, again.qpos)
+    np.testing.assert_array_equal(fresh.body_pos, again.body_pos)
+    np.testing.assert_array_equal(fresh.light_diffuse, again.light_diffuse)
+
+
+def test_more_clutter_leaves_the_task_s_objects_and_labels_as_they_were() -> None:
+    bare, full = (world_of("rubbish", clutter=n) for n in (0, 3))
+    assert full.label_names == {**bare.label_names, 5: "clutter1", 6: "clutter2", 7: "clutter3"}
+    for name in bare.labels:
+        np.testing.assert_array_equal(
+            bare.model.geom_size[bare.geoms_of(name)], full.model.geom_size[full.geoms_of(name)]
+        )
+
+
+def test_all_the_clutter_there_may_be_finds_room() -> None:
+    for task in TASKS:
+        world = world_of(task, clutter=MAX_CLUTTER)
+        world.lay_out(np.random.default_rng(0))
+
+
+def test_no_room_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(world_module, "GAP", 0.5)
+    with pytest.raises(UsageError, match="--clutter: expected objects that find room 50 cm apart, got 4 objects"):
+        World(SimOptions(task="rubbish")).lay_out(np.random.default_rng(0))
+
+
+def test_the_door_starts_open() -> None:
+    world = world_of("microwave")
+    angles = []
+    for seed in range(5):
+        world.restore(world.lay_out(np.random.default_rng(seed)))
+        angles.append(float(world.data.joint("door").qpos[0]))
+    assert max(angles) < -0.8
+    assert np.ptp(angles) > 0.2

@@ -1,0 +1,329 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from bask_data.cli import app
+from bask_data.core.geometry import rotation_angle
+from bask_data.dataset import Dataset
+from bask_data.dvc import render
+from bask_data.errors import UsageError, WouldOverwrite
+from bask_data.kinds import Demonstration, Scan, Truth
+from bask_data.pipeline import STAGES
+from bask_data.sim import experts
+from bask_data.sim.options import SimOptions
+from bask_data.stages import simulate as simulate_module
+from bask_data.stages.simulate import simulate
+from bask_data.validate import validate
+from tests.stages.test_ingest import everything_below
+
+TINY = {"height": 24, "width": 32, "frames": 3}
+
+
+def made(
+    root: Path,
+    n_scans: int = 1,
+    n_demonstrations: int = 0,
+    only: tuple[str, ...] = (),
+    force: bool = False,
+    **options: object,
+) -> list[str]:
+    values = SimOptions(**{"task": "phone", **TINY, **options})  # type: ignore[arg-type]
+    outcomes, _ = simulate(root, values, n_scans=n_scans, n_demonstrations=n_demonstrations, only=only, force=force)
+    return [f"{outcome.status} {outcome.kind} {outcome.item}" for outcome in outcomes]
+
+
+def digests(root: Path) -> dict[str, str]:
+    files = [file for kind in ("scan", "demonstration", "truth") for file in (root / kind).glob("*/artifact.json")]
+    return {str(file.parent.relative_to(root)): json.loads(file.read_text())["digest"] for file in files}
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two scans and a demonstration; tests may only read it."""
+    root = tmp_path_factory.mktemp("sim") / "d"
+    names = made(root, 2, 1)
+    assert names == [
+        f"made {kind} {item}"
+        for item, kinds in (("phone_scan0", "scan"), ("phone_scan1", "scan"), ("phone_demo0", "demonstration"))
+        for kind in (kinds, "truth")
+    ]
+    return root
+
+
+def test_dataset_is_whole_and_lists_its_recordings(dataset: Path) -> None:
+    found = Dataset(dataset)
+    assert found.items("scene") == ["phone_scan0", "phone_scan1"]
+    assert found.items("demonstration") == ["phone_demo0"]
+    assert validate(found) == []
+    assert (found.file.scenes["phone_scan0"].format, found.file.scenes["phone_scan0"].path) == ("sim", "")
+
+
+def test_scan_carries_noise_and_truth_does_not(dataset: Path) -> None:
+    scan, truth = Scan(dataset / "scan" / "phone_scan0"), Truth(dataset / "truth" / "phone_scan0")
+    assert truth.camera_names == scan.camera_names == ["overhead", "wrist"]
+    assert truth.has_depth
+    for camera in scan.cameras:
+        assert (camera.n_frames, camera.height, camera.width) == (3, 24, 32)
+        assert camera.depth_scale == 1e-4
+        np.testing.assert_array_equal(camera.K[:2, 2], [15.5, 11.5])
+        error = []
+        for i_frame in range(3):
+            exact, noisy = truth.depth(camera.name, i_frame), camera.depth(i_frame)
+            assert ((exact > 0) == (noisy > 0)).all()
+            error.append(((noisy - exact) / (0.001 + 0.005 * exact))[exact > 0])
+        assert np.concatenate(error).std() == pytest.approx(1, abs=0.08)
+        np.testing.assert_array_equal(truth.world_from_cameras(camera.name), camera.world_from_cameras)
+
+
+def test_truth_names_labels_and_knows_poses_and_what_touches(dataset: Path, tmp_path: Path) -> None:
+    scan = Truth(dataset / "truth" / "phone_scan0")
+    assert scan.label_names == {1: "base", 2: "phone", 255: "gripper"}
+    assert scan.metadata.object_labels == [1, 2]
+    assert scan.touching == []
+    poses = scan.world_from_objects
+    assert poses is not None and poses.shape == (3, 2, 4, 4)
+    np.testing.assert_allclose(np.array(scan.metadata.world_from_object[2]), poses[0, 1])
+    assert scan.metadata.pose_error == {1: 0.0, 2: 0.0}
+    demo = Truth(dataset / "truth" / "phone_demo0")
+    moved = demo.world_from_objects
+    assert moved is not None and np.abs(moved[-1, 1] - moved[0, 1]).max() > 0.05
+    assert demo.metadata.world_from_object == {}
+    made(tmp_path / "d", task="lid")
+    assert Truth(tmp_path / "d" / "truth" / "lid_scan0").touching == [(1, 2)]
+
+
+def test_demonstration_has_the_robot_s_side(dataset: Path) -> None:
+    demo = Demonstration(dataset / "demonstration" / "phone_demo0")
+    n_frames = demo.camera("wrist").n_frames
+    assert demo.robot is not None
+    assert demo.robot.action_names == ("dx", "dy", "dz", "rx", "ry", "rz", "width")
+    assert demo.robot.action is not None and demo.robot.action.shape == (n_frames, 7)
+    assert demo.robot.world_from_gripper is not None and demo.robot.world_from_gripper.shape == (n_frames, 4, 4)
+    assert demo.robot.gripper_width is not None and np.ptp(demo.robot.gripper_width) > 0.03
+    assert np.diff(demo.camera("wrist").time).mean() == pytest.approx(0.05)
+    labels = Truth(dataset / "truth" / "phone_demo0").instance("wrist", 0)
+    assert (labels == 255).any()
+
+
+def test_scenes_differ_and_the_objects_are_the_same(dataset: Path) -> None:
+    one, other = (Truth(dataset / "truth" / f"phone_scan{i}").world_from_objects for i in (0, 1))
+    assert one is not None and other is not None
+    assert np.abs(one[0] - other[0]).max() > 0.02
+
+
+def test_same_options_give_the_same_bytes_in_another_process_and_order(dataset: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "bask_data.cli", "ingest", "sim", str(tmp_path / "d"), "--task", "phone"]
+    options = [word for name, value in TINY.items() for word in (f"--{name}", str(value))]
+    only = ["--only", "phone_demo0,phone_scan1"]
+    subprocess.run([*command, *options, *only], check=True, capture_output=True, env={**os.environ})
+    found = digests(tmp_path / "d")
+    assert len(found) == 4
+    assert found.items() <= digests(dataset).items()
+
+
+def test_again_is_up_to_date_other_options_are_refused_and_force_replaces(tmp_path: Path) -> None:
+    root = tmp_path / "d"
+    made(root)
+    before = everything_below(root)
+    assert made(root) == ["up to date scan phone_scan0"]
+    with pytest.raises(WouldOverwrite, match="phone_scan0: expected no recording of that name"):
+        made(root, 2, seed=1)
+    assert everything_below(root) == before
+    assert made(root, seed=1, force=True) == ["made scan phone_scan0", "made truth phone_scan0"]
+    assert made(root, seed=1) == ["up to date scan phone_scan0"]
+    assert validate(Dataset(root)) == []
+
+
+def test_more_recordings_are_added_to_those_that_are_there(tmp_path: Path) -> None:
+    made(tmp_path / "d")
+    assert made(tmp_path / "d", 2)[0] == "up to date scan phone_scan0"
+    assert Dataset(tmp_path / "d").items("scene") == ["phone_scan0", "phone_scan1"]
+
+
+def test_what_only_scans_depend_on_does_not_change_a_demonstration(dataset: Path, tmp_path: Path) -> None:
+    made(tmp_path / "d", 0, 1, frames=9, gripper_in_view=True)
+    assert made(tmp_path / "d", 0, 1) == ["up to date demonstration phone_demo0"]
+    assert digests(tmp_path / "d").items() <= digests(dataset).items()
+
+
+@pytest.mark.parametrize(
+    "defect", [{"depth_noise": 0.02}, {"flying": 0.5}, {"holes": 0.2}, {"pose_noise": 1.0}], ids=lambda d: next(iter(d))
+)
+def test_defects_change_the_recording_and_leave_the_truth(
+    dataset: Path, tmp_path: Path, defect: dict[str, float]
+) -> None:
+    made(tmp_path / "d", **defect)
+    ours, plain = digests(tmp_path / "d"), digests(dataset)
+    assert ours["truth/phone_scan0"] == plain["truth/phone_scan0"]
+    assert ours["scan/phone_scan0"] != plain["scan/phone_scan0"]
+
+
+def test_pose_noise_is_in_the_recording_s_poses_and_exact_depth_is_exact(tmp_path: Path) -> None:
+    made(tmp_path / "d", pose_noise=1.0, depth_noise=0.0, frames=40)
+    scan, truth = Scan(tmp_path / "d" / "scan" / "phone_scan0"), Truth(tmp_path / "d" / "truth" / "phone_scan0")
+    exact, noisy = truth.world_from_cameras("wrist"), scan.camera("wrist").world_from_cameras
+    assert (noisy - exact)[:, :3, 3].std() == pytest.approx(0.002, rel=0.3)
+    angle = np.degrees(rotation_angle(np.swapaxes(exact, 1, 2)[:, :3, :3] @ noisy[:, :3, :3]))
+    assert np.sqrt((angle**2).mean() / 3) == pytest.approx(0.2, rel=0.3)
+    overhead = scan.camera("overhead").world_from_cameras
+    assert (overhead == overhead[0]).all()
+    np.testing.assert_array_equal(scan.camera("wrist").depth(7), truth.depth("wrist", 7))
+
+
+def test_cameras_may_have_sizes_of_their_own(tmp_path: Path) -> None:
+    made(tmp_path / "d", overhead_height=20, overhead_width=40)
+    scan = Scan(tmp_path / "d" / "scan" / "phone_scan0")
+    assert [(camera.name, camera.height, camera.width) for camera in scan.cameras] == [
+        ("overhead", 20, 40),
+        ("wrist", 24, 32),
+    ]
+    made(tmp_path / "e", cameras=("wrist",))
+    assert Scan(tmp_path / "e" / "scan" / "phone_scan0").camera_names == ["wrist"]
+
+
+def test_failed_demonstrations_are_counted_and_drawn_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds = []
+    real = experts.demonstrate
+
+    def clumsy(world: object, rng: np.random.Generator) -> object:
+        seeds.append(rng.bit_generator.seed_seq.entropy)  # type: ignore[attr-defined]
+        return None if len(seeds) < 3 else real(world, rng)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(experts, "demonstrate", clumsy)
+    values = SimOptions(task="phone", **TINY)  # type: ignore[arg-type]
+    outcomes, n_failed = simulate(tmp_path / "d", values, n_scans=0, n_demonstrations=1)
+    assert n_failed == 2
+    assert [outcome.item for outcome in outcomes] == ["phone_demo0", "phone_demo0"]
+    assert [seed[-1] for seed in seeds] == [0, 1, 2]
+
+
+def test_a_task_that_never_succeeds_is_given_up_and_nothing_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(experts, "demonstrate", lambda *_: None)
+    with pytest.raises(
+        UsageError, match="phone_demo0: expected a demonstration that succeeds in 20 attempts, got none"
+    ):
+        made(tmp_path / "d", 0, 1)
+    assert not (tmp_path / "d").exists()
+
+
+def test_interruption_keeps_what_was_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = simulate_module._write
+
+    def stopped(out: Path, out_truth: Path, job: simulate_module.Job, *rest: object) -> None:
+        if job.index == 1:
+            raise KeyboardInterrupt
+        real(out, out_truth, job, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(simulate_module, "_write", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        made(tmp_path / "d", 3)
+    assert Dataset(tmp_path / "d").items("scene") == ["phone_scan0"]
+    assert validate(Dataset(tmp_path / "d")) == []
+    assert list((tmp_path / "d" / ".scratch").glob("*~*")) == []
+
+
+def test_recording_that_a_kill_left_unlisted_is_listed_by_the_same_command(tmp_path: Path) -> None:
+    made(tmp_path / "d")
+    listed = (tmp_path / "d" / "dataset.json").read_text()
+    (tmp_path / "d" / "dataset.json").write_text(json.dumps({**json.loads(listed), "scenes": {}}))
+    assert made(tmp_path / "d") == ["up to date scan phone_scan0"]
+    assert (tmp_path / "d" / "dataset.json").read_text() == listed
+
+
+def test_name_of_the_other_sort_of_recording_is_refused(tmp_path: Path) -> None:
+    made(tmp_path / "d")
+    file = tmp_path / "d" / "dataset.json"
+    document = json.loads(file.read_text())
+    document["demonstrations"], document["scenes"] = document["scenes"], {}
+    file.write_text(json.dumps(document))
+    with pytest.raises(UsageError, match="expected a new name, got the name of a demonstration"):
+        made(tmp_path / "d")
+
+
+@pytest.mark.parametrize("name", ["lid_scan0", "phone_scan", "phone_view0", "phone_scan0/x"])
+def test_only_takes_names_of_the_task_s_recordings(tmp_path: Path, name: str) -> None:
+    with pytest.raises(UsageError, match="--only: expected names like phone_scan0, phone_demo12, got"):
+        made(tmp_path / "d", only=(name,))
+    assert not (tmp_path / "d").exists()
+
+
+def test_nothing_asked_for_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="expected --scans or --demonstrations, got neither"):
+        made(tmp_path / "d", 0, 0)
+
+
+def test_dvc_makes_a_simulated_recording_again_by_name(dataset: Path, tmp_path: Path) -> None:
+    made(tmp_path / "d", gripper_in_view=True, cameras=("wrist",))
+    described = yaml.safe_load(render(Dataset(tmp_path / "d"), STAGES, {})["dvc.yaml"])["stages"]
+    [stage] = [stage for stage in described.values() if "ingest" in stage["cmd"]]
+    words = stage["cmd"].split()
+    assert words[:7] == ["bask-data", "ingest", "sim", ".", "--only", "phone_scan0", "--force"]
+    assert "deps" not in stage
+    before = digests(tmp_path / "d")
+    answer = CliRunner().invoke(app, ["ingest", "sim", str(tmp_path / "d"), *words[4:]])
+    assert answer.exit_code == 0, answer.output
+    assert digests(tmp_path / "d") == before
+
+
+# The command line -----------------------------------------------------------------------------------------------------
+
+
+def command(*words: object) -> tuple[int, str, str]:
+    answer = CliRunner().invoke(app, ["ingest", "sim", *map(str, words)])
+    return answer.exit_code, answer.stdout, answer.stderr
+
+
+SMALL = ("--height", 24, "--width", 32, "--frames", 2, "--demonstrations", 0, "--scans", 1)
+
+
+def test_command_says_what_it_made_and_what_comes_next(tmp_path: Path) -> None:
+    code, out, err = command(tmp_path / "d", "--task", "lid", *SMALL, "--json")
+    assert code == 0
+    document = json.loads(out)
+    assert [row["status"] for row in document["outcomes"]] == ["made", "made"]
+    assert document["failed_demonstrations"] == 0
+    assert f"next: bask-data run {tmp_path / 'd'}" in err
+    assert command(tmp_path / "d", "--task", "lid", *SMALL)[0] == 0
+    assert command(tmp_path / "d", "--task", "lid", *SMALL, "--seed", 3)[0] == 3
+
+
+def test_command_tells_of_failed_demonstrations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulate_module, "simulate", lambda *_, **__: ([], 4))
+    assert "4 demonstrations failed at the task and were drawn anew" in command(tmp_path / "d", "--task", "lid")[2]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--task", "lid", "--depth-noise", "0.5"], "--depth-noise"),
+        (["--task", "lid", "--cameras", "wrist,side"], "--cameras"),
+        (["--task", "lid", "--cameras", "wrist,wrist"], "each camera once"),
+        (["--task", "lid", "--clutter", "99"], "--clutter"),
+        (["--task", "sink"], "sink"),
+        ([], "--task"),
+    ],
+)
+def test_nonsense_is_refused_before_anything_is_made(tmp_path: Path, words: list[str], said: str) -> None:
+    code, _, err = command(tmp_path / "d", *words)
+    assert code == 2
+    assert said in err
+    assert not (tmp_path / "d").exists()
+
+
+def test_without_mujoco_the_exit_code_is_5(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    code, _, err = command(tmp_path / "d", "--task", "lid", *SMALL)
+    assert code == 5
+    assert "fix: pip install 'bask-data[sim]'" in err
+    assert not (tmp_path / "d").exists()
