@@ -146,7 +146,12 @@ def publish_matches(dataset: Dataset, uv_a: np.ndarray, uv_b: np.ndarray) -> Non
         **{name: column.astype(np.float32) for name, column in zip(("u_a", "v_a"), uv_a.T, strict=True)},
         **{name: column.astype(np.float32) for name, column in zip(("u_b", "v_b"), uv_b.T, strict=True)},
     }
-    publish_artifact(dataset, Correspondences, "ball", lambda out: Correspondences.write(out, [(row, columns)], {}))
+
+    def fill(out):
+        with Correspondences.writer(out) as writer:
+            writer.append(row, columns)
+
+    publish_artifact(dataset, Correspondences, "ball", fill)
 
 
 def test_matches_are_held_against_the_exact_cameras(ball: Dataset) -> None:

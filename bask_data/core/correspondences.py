@@ -7,18 +7,19 @@ measurements say clearly that it is wrong (fusion rounds edges). Without a surfa
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import open3d as o3d
-from jaxtyping import Bool, Float, Float32, Int, UInt8
+from jaxtyping import Bool, Float, Float32, Int, Int32, UInt8
+from numba import njit
 from numpy import ndarray
 
-from bask_data.core.geometry import in_image, invert_rigid, project, transform, unproject
+from bask_data.core.geometry import invert_rigid, unproject
 
 REJECTIONS = (
+    "edge_in_a",
     "outside_b",
     "no_depth_in_b",
     "hidden_in_b",
@@ -26,14 +27,35 @@ REJECTIONS = (
     "other_instance_in_b",
     "doubtful_in_b",
     "cycle",
-    "more_than_asked",
+    "edge_in_b",
 )
-"""Reasons in the order they are tested; a candidate counts for the first it fails."""
-GRAZING = np.cos(np.deg2rad(75.0))
+"""Reasons in the order they are tested; a pixel that was tried counts for the first it fails."""
+(
+    _EDGE_IN_A,
+    _OUTSIDE_B,
+    _NO_DEPTH_IN_B,
+    _HIDDEN_IN_B,
+    _OTHER_SURFACE_IN_B,
+    _OTHER_INSTANCE_IN_B,
+    _DOUBTFUL_IN_B,
+    _CYCLE,
+    _EDGE_IN_B,
+) = range(len(REJECTIONS))
+_MATCH = -1
+GRAZING_ANGLE = np.deg2rad(75.0)
 """More obliquely seen surface is not matched: what is off along its normal is four times as much off along the ray."""
+GRAZING = np.cos(GRAZING_ANGLE)
+STEEPEST = float(np.tan(GRAZING_ANGLE))
+ON_SURFACE = 0.005
+"""Metres in front of a point in which a hit is still the surface the point is on."""
+EDGE = 0.5
+"""A surface begins where depth jumps by more than this share of the tolerance, and the slope of one surface besides."""
+MOST_REACH = 6
+"""Pixels around a match in which, besides the margin, something in front is looked for at most."""
 SIGNIFICANT = 2.5
 """The surface is corrected where the measurements around differ from it by so many standard errors of their mean."""
 MIN_MEASUREMENTS = 3
+TINY = np.float32(1e-12)
 SIGMA_FROM_MAD = 1.4826
 N_INSTANCES = 256
 
@@ -47,26 +69,39 @@ class View:
         instance: visible instance at each pixel, 0 none.
         sure: `instance` where it and the depth can be trusted, else 0.
         pixels: flat indices of sure pixels, grouped: those of instance k are `pixels[first[k]:first[k + 1]]`.
+        margin: pixels that a match stays away from the edges of masks and of surfaces.
+        noise: standard deviation of a measured depth, as a share of the tolerance; 0 where it is not known.
     """
 
     depth: Float32[ndarray, "h w"]
     instance: UInt8[ndarray, "h w"]
     sure: UInt8[ndarray, "h w"]
-    pixels: Int[ndarray, "p"]
+    pixels: Int32[ndarray, "p"]
     first: Int[ndarray, "257"]
     K: Float[ndarray, "3 3"]
     world_from_camera: Float[ndarray, "4 4"]
+    margin: int
+    noise: float
 
 
 @dataclass(frozen=True)
 class Matches:
-    """Matches of one pair of views, the same index for the same match."""
+    """Matches of one pair of views, the same index for the same match, grouped by instance.
+
+    Args:
+        tried: the instances that both views show.
+        rejections: how many pixels of each of these failed each of `REJECTIONS`.
+    """
 
     instance: UInt8[ndarray, "m"]
     uv_a: Float32[ndarray, "m 2"]
     uv_b: Float32[ndarray, "m 2"]
-    n_attempts: int
-    rejections: Counter[str]
+    tried: UInt8[ndarray, "k"]
+    rejections: Int[ndarray, "k reasons"]
+
+    @property
+    def n_attempts(self) -> int:
+        return len(self.instance) + int(self.rejections.sum())
 
 
 class Surface:
@@ -90,6 +125,15 @@ class Surface:
         cosine = np.abs(np.einsum("ij,ij->i", hits["primitive_normals"].numpy(), directions))
         return hits["t_hit"].numpy(), cosine / np.linalg.norm(directions, axis=1)
 
+    def unhidden(
+        self, points_world: Float[ndarray, "n 3"], world_from_camera: Float[ndarray, "4 4"]
+    ) -> Bool[ndarray, "n"]:
+        """Points of the surface with no other part of it between them and the camera."""
+        rays = np.empty((len(points_world), 6), np.float32)
+        rays[:, :3], rays[:, 3:] = world_from_camera[:3, 3], points_world - world_from_camera[:3, 3]
+        hits = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))["t_hit"].numpy()
+        return hits * np.linalg.norm(rays[:, 3:], axis=1) > np.linalg.norm(rays[:, 3:], axis=1) - ON_SURFACE
+
 
 def view(
     measured: Float32[ndarray, "h w"],
@@ -99,6 +143,7 @@ def view(
     surface: Surface | None = None,
     tolerance: tuple[float, float] = (0.005, 0.01),
     margin: int = 2,
+    distrusted: Bool[ndarray, "h w"] | None = None,
 ) -> View:
     """A frame with the best depth there is and its pixels sorted by instance.
 
@@ -107,6 +152,7 @@ def view(
         surface: the fused surface of the scene.
         tolerance: (a, b): a measurement confirms the surface at depth z within a + b z metres.
         margin: pixels to stay away from the edge of a mask: there it is a matter of chance which surface a pixel shows.
+        distrusted: pixels that are not matched, such as those whose measurement was thrown away as no surface's.
 
     Raises:
         ValueError: sizes of depth and masks differ, or `margin` or a tolerance is negative.
@@ -115,107 +161,119 @@ def view(
         raise ValueError(f"measured and instance must have one size, got {measured.shape} and {instance.shape}")
     if min(margin, *tolerance) < 0:
         raise ValueError(f"margin and tolerance must be >= 0, got {margin} and {tolerance}")
-    sure = inside(instance, margin)
-    if surface is None:
-        depth = measured
-    else:
+    sure = instance if distrusted is None else np.where(distrusted, np.uint8(0), instance)
+    depth, noise = measured, 0.0
+    if surface is not None:
         where = np.flatnonzero(instance)
         width = instance.shape[1]
         uv = np.stack([where % width, where // width], axis=1).astype(np.float64)
         cast, cosine = surface.cast(uv, K, world_from_camera)
         rendered = np.zeros_like(measured)
         rendered.reshape(-1)[where] = np.where(np.isfinite(cast), cast, 0)
-        depth, contradicted = refined(measured, rendered, tolerance)
+        depth, contradicted, noise = refined(measured, rendered, tolerance)
+        sure = np.where(contradicted, np.uint8(0), sure)
         sure.reshape(-1)[where[cosine < GRAZING]] = 0
-        sure[contradicted] = 0
-    sure[depth <= 0] = 0
-    pixels = np.flatnonzero(sure)
-    labels = sure.reshape(-1)[pixels]
-    pixels = pixels[np.argsort(labels, kind="stable")]
-    first = np.concatenate([[0], np.cumsum(np.bincount(labels, minlength=N_INSTANCES))])
-    return View(depth, instance, sure, pixels, first, K, world_from_camera)
+    instance, depth = np.ascontiguousarray(instance), np.ascontiguousarray(depth)
+    inner, pixels, first = inside(instance, np.ascontiguousarray(sure), depth, margin)
+    return View(depth, instance, inner, pixels, first, K, world_from_camera, margin, noise)
 
 
-def inside(instance: UInt8[ndarray, "h w"], margin: int) -> UInt8[ndarray, "h w"]:
-    """The labels whose pixels around, `margin` far, are all the same; beyond the image's border all are."""
-    window = np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)
-    alike = cv2.erode(instance, window) == cv2.dilate(instance, window)
-    return np.where(alike, instance, np.uint8(0))
+@njit(cache=True)
+def inside(  # type: ignore[no-untyped-def]
+    instance, sure, depth, margin
+):
+    """Labels whose pixels around, `margin` far, are all the same, that are sure, and have depth, else 0 (h, w);
+    beyond the image's border all are the same. And the flat indices of these pixels, grouped by label, and where each
+    label begins (257,).
+
+    One pass over the image: a window of one label is as many rows of it below each other as the window is high, and in
+    each the label's run must be as long as the window is wide.
+    """
+    height, width = instance.shape
+    inner = np.zeros((height, width), np.uint8)
+    first = np.zeros(N_INSTANCES + 1, np.int64)
+    # Rows above each pixel, itself included, that have one label throughout the window's width.
+    rows = np.zeros(width, np.int64)
+    begin, end = height, 0
+    for v in range(height + margin):
+        here = min(v, height - 1)
+        row, above = instance[here], instance[max(min(v, height) - 1, 0)]
+        labelled = np.flatnonzero(row)
+        if len(labelled) == 0:
+            rows[:] = 0
+            continue
+        left, right = labelled[0], labelled[-1] + 1
+        rows[:left], rows[right:] = 0, 0
+        run = left
+        for u_end in range(left, right + margin):
+            if left < u_end < width and row[u_end] != row[u_end - 1]:
+                run = u_end
+            u = u_end - margin
+            if u < left:
+                continue
+            label = row[u]
+            if label == 0 or run > max(u - margin, 0):
+                rows[u] = 0
+                continue
+            rows[u] = margin + 1 if v == 0 else rows[u] + 1 if above[u] == label else 1
+            centre = v - margin
+            if centre >= 0 and rows[u] > 2 * margin and sure[centre, u] == label and depth[centre, u] > 0:
+                inner[centre, u] = label
+                first[label + 1] += 1
+                begin, end = min(begin, centre), max(end, centre + 1)
+    for label in range(N_INSTANCES):
+        first[label + 1] += first[label]
+    pixels = np.empty(first[-1], np.int32)
+    after = first[:-1].copy()
+    for v in range(begin, end):
+        for u in range(width):
+            label = inner[v, u]
+            if label > 0:
+                pixels[after[label]] = v * width + u
+                after[label] += 1
+    return inner, pixels, first
 
 
 def refined(
     measured: Float32[ndarray, "h w"], rendered: Float32[ndarray, "h w"], tolerance: tuple[float, float]
-) -> tuple[Float32[ndarray, "h w"], Bool[ndarray, "h w"]]:
-    """The best depth of each pixel, metres, 0 unknown; and the pixels where measurement and surface contradict.
+) -> tuple[Float32[ndarray, "h w"], Bool[ndarray, "h w"], float]:
+    """The best depth of each pixel, metres, 0 unknown; the pixels where measurement and surface contradict; and the
+    standard deviation of the measurements, as a share of the tolerance, 0 where there are too few.
 
     The rendered depth, moved by the mean difference of the measurements around (3 x 3) where that is significant
-    against the noise of the frame. Where the two contradict, and where nothing was rendered, the measured one.
+    against the noise of the frame, and by as much of the pixel's own difference from that mean as its surroundings
+    differ more than noise explains: little where the sensor is noisy, all where it is exact. Where the two contradict,
+    and where nothing was rendered, the measured one.
 
     Args:
         rendered: z-depth of the fused surface, metres; 0 where there is none or it was not asked for.
+
+    Source of the second step: Lee 1980, digital image enhancement and noise filtering by use of local statistics.
     """
     both = (measured > 0) & (rendered > 0)
     difference = np.where(both, measured - rendered, np.float32(0))
-    confirms = both & (np.abs(difference) <= np.float32(tolerance[0]) + np.float32(tolerance[1]) * measured)
+    allowed = np.float32(tolerance[0]) + np.float32(tolerance[1]) * measured
+    confirms = both & (np.abs(difference) <= allowed)
     difference[~confirms] = 0
-    count = cv2.boxFilter(confirms.astype(np.float32), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    total = cv2.boxFilter(difference, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    mean = total / np.maximum(count, np.float32(1))
+    count = np.maximum(_sum_around(confirms.astype(np.float32)), np.float32(1))
+    mean = _sum_around(difference) / count
     several = confirms & (count >= MIN_MEASUREMENTS)
     # The spread about the local mean is noise; that of the mean itself may be a surface that is off. Of n values a mean
-    # leaves only n - 1 free to spread.
-    spread = (np.abs(difference - mean) * np.sqrt(count / np.maximum(count - 1, 1)))[several]
-    noise = SIGMA_FROM_MAD * float(np.median(spread)) if len(spread) else np.inf
+    # leaves only n - 1 free to spread. Noise grows with depth as the tolerance does.
+    spread = (np.abs(difference - mean) * np.sqrt(count / np.maximum(count - 1, 1)) / allowed)[several]
+    share = SIGMA_FROM_MAD * float(np.median(spread)) if len(spread) else 0.0
+    noise = np.float32(share) * allowed
     significant = (count >= MIN_MEASUREMENTS) & (np.abs(mean) * np.sqrt(count) > SIGNIFICANT * noise)
     best = np.where(significant, rendered + mean, rendered)
+    variance = np.maximum(_sum_around(difference**2) - count * mean**2, 0) / np.maximum(count - 1, 1)
+    own = np.where(several, np.maximum(1 - SIGNIFICANT * noise**2 / np.maximum(variance, TINY), 0), np.float32(0))
+    best = best + own * (measured - best)
     contradicted = both & ~confirms
-    return np.where((rendered > 0) & ~contradicted, best, measured), contradicted
+    return np.where((rendered > 0) & ~contradicted, best, measured), contradicted, share
 
 
-def depth_between(
-    depth: Float32[ndarray, "h w"], uv: Float[ndarray, "n 2"], tolerance: tuple[float, float]
-) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
-    """Depth between pixels, metres, and the nearest of the four depths around; 0 where none is known.
-
-    Interpolated where the four pixels around agree; else that of the closest pixel that has one, because a
-    mean of foreground and background is the depth of neither.
-
-    Args:
-        uv: inside the image.
-        tolerance: (a, b): depths agree within a + b z.
-    """
-    height, width = depth.shape
-    corner_u = np.clip(np.floor(uv[:, 0]), 0, max(width - 2, 0)).astype(np.int64)
-    corner_v = np.clip(np.floor(uv[:, 1]), 0, max(height - 2, 0)).astype(np.int64)
-    along_u, along_v = np.clip(uv[:, 0] - corner_u, 0.0, 1.0), np.clip(uv[:, 1] - corner_v, 0.0, 1.0)
-    next_u, next_v = np.minimum(corner_u + 1, width - 1), np.minimum(corner_v + 1, height - 1)
-    # (4, n) and not (n, 4): NumPy is many times faster along a long last axis.
-    flat = depth.reshape(-1)
-    rows, below = corner_v * width, next_v * width
-    around = flat[np.stack([rows + corner_u, rows + next_u, below + corner_u, below + next_u])].astype(np.float64)
-    weights = np.stack(
-        [(1 - along_u) * (1 - along_v), along_u * (1 - along_v), (1 - along_u) * along_v, along_u * along_v]
-    )
-    farthest = around.max(axis=0)
-    known = around > 0
-    lowest = np.where(known, around, np.inf).min(axis=0)
-    agree = known.all(axis=0) & (farthest - lowest <= tolerance[0] + tolerance[1] * farthest)
-    # Bilinear weights fall with distance, so the heaviest measured pixel is the closest one.
-    closest = around[np.where(known, weights, -1.0).argmax(axis=0), np.arange(len(uv))]
-    nearest = np.where(np.isfinite(lowest), lowest, 0.0)
-    return np.where(agree, (around * weights).sum(axis=0), closest), nearest
-
-
-def candidates(a: View, b: View, n_attempts: int, rng: np.random.Generator) -> Int[ndarray, "c"]:
-    """Flat indices of pixels of `a` on the instances that both views show, about equally many on each, none twice."""
-    count = np.diff(a.first)
-    shared = np.flatnonzero((count > 0) & (np.diff(b.first) > 0))
-    quota = shares(count[shared], n_attempts)
-    drawn = [
-        a.pixels[a.first[k] + rng.choice(count[k], size=n, replace=False, shuffle=True)]
-        for k, n in zip(shared, quota, strict=True)
-    ]
-    return np.concatenate([np.zeros(0, np.int64), *drawn])
+def _sum_around(image: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
+    return cv2.boxFilter(image, -1, (5, 5), normalize=False, borderType=cv2.BORDER_CONSTANT)
 
 
 def shares(available: Int[ndarray, "k"], total: int) -> Int[ndarray, "k"]:
@@ -237,14 +295,15 @@ def match(
     tolerance: tuple[float, float] = (0.005, 0.01),
     max_cycle: float = 0.7,
 ) -> Matches:
-    """Random matches from `a` to `b`, balanced over the instances.
+    """Random matches from `a` to `b`, balanced over the instances: the one with the fewest matches is always next.
 
     A pixel of `a` is lifted by its depth and projected into `b`. It stands if it lands in the image, the depth there
-    agrees, the same instance is seen, and the way back by the depth of `b` ends within `max_cycle` pixels.
+    agrees, the same instance is seen, the way back by the depth of `b` ends within `max_cycle` pixels, and neither end
+    is at the edge of a surface.
 
     Args:
-        n_attempts: pixels of `a` tried at most; fewer when there are enough matches before.
-        n_matches: kept at most.
+        n_attempts: pixels of `a` tried at most, shared out evenly over the instances.
+        n_matches: when there are so many, no more pixels are tried.
         tolerance: (a, b): depths z agree within a + b z metres.
 
     Raises:
@@ -255,71 +314,177 @@ def match(
             f"tolerance and max_cycle must be >= 0, n_attempts and n_matches >= 1, got {tolerance}, {max_cycle}, "
             f"{n_attempts}, {n_matches}"
         )
-    tried = candidates(a, b, n_attempts, rng)
-    label = a.instance.reshape(-1)[tried]
-    # The instances in turn, so that an early end has tried equally many of each.
-    in_turn = np.argsort(np.arange(len(tried)) - np.searchsorted(label, label), kind="stable")
-    tried, label = tried[in_turn], label[in_turn]
-    present = np.unique(label)
-    width = a.depth.shape[1]
-    uv_a = np.stack([tried % width, tried // width], axis=1).astype(np.float64)
-    uv_b, failed = np.zeros((0, 2)), np.zeros(0, np.int64)
-    for start in range(0, len(tried), 2 * n_matches):
-        some = slice(start, start + 2 * n_matches)
-        uv, why = follow(uv_a[some], label[some], a, b, tolerance, max_cycle)
-        uv_b, failed = np.concatenate([uv_b, uv]), np.concatenate([failed, why])
-        n_passed = np.bincount(label[: len(failed)][failed < 0], minlength=N_INSTANCES)[present]
-        if n_passed.min() * len(present) >= n_matches:
-            break
-    passed = np.flatnonzero(failed < 0)
-    passed = passed[np.argsort(label[passed], kind="stable")]
-    # Grouped by instance, and within one in random order, so the first ones are a fair draw.
-    of, begin, count = np.unique(label[passed], return_index=True, return_counts=True)
-    quota, offset = np.zeros(N_INSTANCES, np.int64), np.zeros(N_INSTANCES, np.int64)
-    quota[of], offset[of] = shares(count, n_matches), begin
-    rank = np.arange(len(passed)) - offset[label[passed]]
-    kept = passed[rank < quota[label[passed]]]
-    rejections = Counter({REJECTIONS[i]: int(n) for i, n in enumerate(np.bincount(failed[failed >= 0])) if n})
-    rejections["more_than_asked"] += len(passed) - len(kept)
-    return Matches(label[kept], uv_a[kept].astype(np.float32), uv_b[kept].astype(np.float32), len(failed), rejections)
+    count = np.diff(a.first)
+    shared = np.flatnonzero((count > 0) & (np.diff(b.first) > 0))
+    quota = shares(count[shared], n_attempts)
+    b_from_a = invert_rigid(b.world_from_camera) @ a.world_from_camera
+    label, found, rejections = _search(
+        (a.depth, a.K, a.margin, a.noise),
+        (b.depth, b.K, b.margin, b.noise),
+        b.instance,
+        b.sure,
+        b_from_a,
+        invert_rigid(b_from_a),
+        a.pixels,
+        a.first,
+        shared,
+        quota,
+        rng.random(int(quota.sum())),
+        n_matches,
+        tolerance,
+        max_cycle,
+    )
+    order = np.argsort(label, kind="stable")
+    found = found[order]
+    return Matches(label[order], found[:, :2].copy(), found[:, 2:].copy(), shared.astype(np.uint8), rejections)
 
 
-def follow(
-    uv_a: Float[ndarray, "n 2"],
-    label: UInt8[ndarray, "n"],
-    a: View,
-    b: View,
-    tolerance: tuple[float, float],
-    max_cycle: float,
-) -> tuple[Float[ndarray, "n 2"], Int[ndarray, "n"]]:
-    """Where pixels of `a` are in `b`, and the index in `REJECTIONS` of the first test each fails, -1 for none.
+@njit(cache=True)
+def _search(  # type: ignore[no-untyped-def]
+    a, b, instance_b, sure_b, b_from_a, a_from_b, pixels, first, shared, quota, draws, n_matches, tolerance, max_cycle
+):
+    """Matches as found: labels (m,), (u, v, u, v) (m, 4), and rejections (k, reasons).
 
     Args:
-        uv_a: pixel centres of `a` with known depth.
-        label: the instance each must show in `b`.
+        a, b: depth, intrinsics, margin and noise of the two views.
+        quota: pixels to try of each of the `shared` instances.
+        draws: uniform in [0, 1), one for each of these.
     """
-    u, v = uv_a.astype(np.int64).T
-    b_from_a = invert_rigid(b.world_from_camera) @ a.world_from_camera
-    uv_b, z = project(transform(b_from_a, unproject(uv_a, a.depth[v, u].astype(np.float64), a.K)), b.K)
-    height, width = b.depth.shape
-    failed = np.where(in_image(uv_b, height, width), -1, REJECTIONS.index("outside_b"))
-    at = np.flatnonzero(failed < 0)
-    uv, z = uv_b[at], z[at]
+    n_instances = len(shared)
+    rejections = np.zeros((n_instances, len(REJECTIONS)), np.int64)
+    n_passed, n_tried = np.zeros(n_instances, np.int64), np.zeros(n_instances, np.int64)
+    most = min(n_matches, len(draws))
+    labels, found = np.empty(most, np.uint8), np.empty((most, 4), np.float32)
+    # Shuffled as far as it is used, in a copy: so each draw is of the pixels that were not tried yet.
+    waiting = [pixels[first[k] : first[k + 1]].copy() for k in shared]
+    width = a[0].shape[1]
+    n_found = 0
+    for i_draw in range(len(draws)):
+        least = -1
+        for i in range(n_instances):
+            if n_tried[i] < quota[i] and (least < 0 or n_passed[i] < n_passed[least]):
+                least = i
+        order, done = waiting[least], n_tried[least]
+        drawn = done + int(draws[i_draw] * (len(order) - done))
+        pixel = order[drawn]
+        order[drawn] = order[done]
+        n_tried[least] = done + 1
+        u, v = pixel % width, pixel // width
+        label = shared[least]
+        why, u_b, v_b = _follow(u, v, label, a, b, instance_b, sure_b, b_from_a, a_from_b, tolerance, max_cycle)
+        if why != _MATCH:
+            rejections[least, why] += 1
+            continue
+        labels[n_found] = label
+        found[n_found, 0], found[n_found, 1], found[n_found, 2], found[n_found, 3] = u, v, u_b, v_b
+        n_passed[least] += 1
+        n_found += 1
+        if n_found == n_matches:
+            break
+    return labels[:n_found], found[:n_found], rejections
+
+
+@njit(inline="always")
+def _follow(  # type: ignore[no-untyped-def]
+    u, v, label, a, b, instance_b, sure_b, b_from_a, a_from_b, tolerance, max_cycle
+):
+    """The first test that a pixel of `a` fails, or `_MATCH`, and where it is in `b`."""
+    depth_a, K_a, margin_a, noise_a = a
+    depth_b, K_b, margin_b, _noise_b = b
+    height, width = depth_b.shape
+    z_a = float(depth_a[v, u])
+    if _at_edge(depth_a, u, v, z_a, K_a[0, 0], margin_a, tolerance, True):
+        return _EDGE_IN_A, np.nan, np.nan
+    u_b, v_b, z = _carried(float(u), float(v), z_a, K_a, b_from_a, K_b)
+    if not (z > 0 and -0.5 <= u_b < width - 0.5 and -0.5 <= v_b < height - 0.5):
+        return _OUTSIDE_B, u_b, v_b
     allowed = tolerance[0] + tolerance[1] * z
-    z_b, nearest = depth_between(b.depth, uv, tolerance)
-    u, v = np.clip(np.rint(uv), 0, [width - 1, height - 1]).astype(np.int64).T
-    back, _ = project(transform(invert_rigid(b_from_a), unproject(uv, z_b, b.K)), a.K)
-    tests = {
-        "no_depth_in_b": z_b <= 0,
-        # The nearest of the four, not the one between: at the edge of something in front, the point may be behind it.
-        "hidden_in_b": nearest < z - allowed,
-        "other_surface_in_b": np.abs(z_b - z) > allowed,
-        "other_instance_in_b": b.instance[v, u] != label[at],
-        "doubtful_in_b": b.sure[v, u] != label[at],
-        "cycle": ~(np.linalg.norm(back - uv_a[at], axis=1) <= max_cycle),
-    }
-    first = np.full(len(at), -1)
-    for reason, fails in tests.items():
-        first[(first < 0) & fails] = REJECTIONS.index(reason)
-    failed[at] = first
-    return uv_b, failed
+    z_b, nearest = depth_between(depth_b, u_b, v_b, tolerance)
+    if z_b <= 0:
+        return _NO_DEPTH_IN_B, u_b, v_b
+    # The nearest of the four, not the one between: at the edge of something in front, the point may be behind it.
+    if nearest < z - allowed:
+        return _HIDDEN_IN_B, u_b, v_b
+    if abs(z_b - z) > allowed:
+        return _OTHER_SURFACE_IN_B, u_b, v_b
+    column, row = min(max(int(np.rint(u_b)), 0), width - 1), min(max(int(np.rint(v_b)), 0), height - 1)
+    if sure_b[row, column] != label:
+        return (_DOUBTFUL_IN_B if instance_b[row, column] == label else _OTHER_INSTANCE_IN_B), u_b, v_b
+    u_back, v_back, z_back = _carried(u_b, v_b, z_b, K_b, a_from_b, K_a)
+    if not (z_back > 0 and (u_back - u) ** 2 + (v_back - v) ** 2 <= max_cycle**2):
+        return _CYCLE, u_b, v_b
+    # Were the depth in a a standard deviation off, the point would be elsewhere, and what is there must not hide it.
+    off = noise_a * (tolerance[0] + tolerance[1] * z_a)
+    u_off, v_off, _ = _carried(float(u), float(v), z_a + off, K_a, b_from_a, K_b)
+    reach = margin_b + min(int(np.sqrt((u_off - u_b) ** 2 + (v_off - v_b) ** 2) + 0.5), MOST_REACH)
+    if _at_edge(depth_b, column, row, z, K_b[0, 0], reach, tolerance, False):
+        return _EDGE_IN_B, u_b, v_b
+    return _MATCH, u_b, v_b
+
+
+@njit(inline="always")
+def _carried(u, v, z, K_from, to_from, K_to):  # type: ignore[no-untyped-def]
+    """Pixel and depth in another camera of what one camera shows at depth z."""
+    y = (v - K_from[1, 2]) / K_from[1, 1]
+    x = (u - K_from[0, 2] - K_from[0, 1] * y) / K_from[0, 0]
+    x, y = x * z, y * z
+    x_to = to_from[0, 0] * x + to_from[0, 1] * y + to_from[0, 2] * z + to_from[0, 3]
+    y_to = to_from[1, 0] * x + to_from[1, 1] * y + to_from[1, 2] * z + to_from[1, 3]
+    z_to = to_from[2, 0] * x + to_from[2, 1] * y + to_from[2, 2] * z + to_from[2, 3]
+    if z_to <= 0:
+        return np.nan, np.nan, z_to
+    u_to = (K_to[0, 0] * x_to + K_to[0, 1] * y_to) / z_to + K_to[0, 2]
+    return u_to, K_to[1, 1] * y_to / z_to + K_to[1, 2], z_to
+
+
+@njit(inline="always")
+def depth_between(depth, u, v, tolerance):  # type: ignore[no-untyped-def]
+    """Depth between pixels, metres, and the nearest of the four depths around; 0 where none is known.
+
+    Interpolated where the four pixels around agree; else that of the closest pixel that has one, because a
+    mean of foreground and background is the depth of neither.
+
+    Args:
+        u, v: inside the image.
+        tolerance: (a, b): depths agree within a + b z.
+    """
+    height, width = depth.shape
+    u_0, v_0 = min(max(int(np.floor(u)), 0), max(width - 2, 0)), min(max(int(np.floor(v)), 0), max(height - 2, 0))
+    along_u, along_v = min(max(u - u_0, 0.0), 1.0), min(max(v - v_0, 0.0), 1.0)
+    nearest, farthest, closest = np.inf, 0.0, 0.0
+    heaviest, total, n_known = -1.0, 0.0, 0
+    for i in range(4):
+        du, dv = i % 2, i // 2
+        z = float(depth[min(v_0 + dv, height - 1), min(u_0 + du, width - 1)])
+        if z <= 0:
+            continue
+        weight = (along_u if du else 1 - along_u) * (along_v if dv else 1 - along_v)
+        nearest, farthest = min(nearest, z), max(farthest, z)
+        total += weight * z
+        n_known += 1
+        # Bilinear weights fall with distance, so the heaviest measured pixel is the closest one.
+        if weight > heaviest:
+            heaviest, closest = weight, z
+    if n_known == 0:
+        return 0.0, 0.0
+    if n_known == 4 and farthest - nearest <= tolerance[0] + tolerance[1] * farthest:
+        return total, nearest
+    return closest, nearest
+
+
+@njit(inline="always")
+def _at_edge(depth, u, v, z, focal, margin, tolerance, both_sides):  # type: ignore[no-untyped-def]
+    """Whether some surface within `margin` pixels is nearer than the slope of one surface explains, or farther."""
+    height, width = depth.shape
+    allowed = EDGE * (tolerance[0] + tolerance[1] * z)
+    lowest, highest = np.float32(z - allowed), np.float32(z + allowed if both_sides else np.inf)
+    per_pixel = STEEPEST * z / focal
+    for row in range(max(v - margin, 0), min(v + margin + 1, height)):
+        around = depth[row]
+        for column in range(max(u - margin, 0), min(u + margin + 1, width)):
+            # Most pixels pass here, at two comparisons of the smaller type each.
+            if (around[column] < lowest or around[column] > highest) and around[column] > 0:
+                slope = per_pixel * np.sqrt((row - v) ** 2 + (column - u) ** 2)
+                if abs(around[column] - z) > allowed + slope:
+                    return True
+    return False

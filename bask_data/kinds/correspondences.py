@@ -2,25 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 from bask_data.artifact import Artifact, Metadata, TableSpec, write_group
-from bask_data.errors import BadData
 from bask_data.kinds.tables import arrow_schema, read_table
 
 if TYPE_CHECKING:
     import numpy as np
     import pyarrow as pa
 
+Rejection = Literal[
+    "edge_in_a",
+    "outside_b",
+    "no_depth_in_b",
+    "hidden_in_b",
+    "other_surface_in_b",
+    "other_instance_in_b",
+    "doubtful_in_b",
+    "cycle",
+    "edge_in_b",
+]
+"""Why a pixel that was tried is no match; of several reasons the first.
+
+- `edge_in_a`, `edge_in_b`: another surface begins within a pixel or two, so which one the pixel shows is up to chance.
+- `outside_b`: its point is outside the second image.
+- `no_depth_in_b`: what the second frame shows there has no known depth.
+- `hidden_in_b`: something stands in front.
+- `other_surface_in_b`: what is seen there is farther away.
+- `other_instance_in_b`: what is seen there is another object, or none.
+- `doubtful_in_b`: the same object, but at the edge of its mask, seen too obliquely, or contradicted by the measurement.
+- `cycle`: the way back by the depth of the second frame ends elsewhere.
+"""
+ROWS_PER_GROUP = 1 << 16
+"""Rows gathered before they are written, as a row group: 1 MB of matches."""
+TABLES_KEPT = 256
+"""Small tables gathered before they become one: each costs kilobytes, however few its rows."""
+
 
 class CorrespondencesMetadata(Metadata):
-    """How many candidates failed which test, and what a person should know (`warnings`)."""
+    """How many pixels were tried, how many of them failed which test first, and what a person should know
+    (`warnings`)."""
 
     n_pairs: int
+    n_attempts: int
     n_matches: int
-    rejections: dict[str, int]
+    rejections: dict[Rejection, int]
     warnings: list[str] = []
 
 
@@ -41,6 +71,7 @@ class Correspondences(Artifact):
 
     kind = "correspondences"
     scope = "scene"
+    schema_version = 2
     metadata_model = CorrespondencesMetadata
     tables = {
         "pairs.parquet": TableSpec(
@@ -50,8 +81,8 @@ class Correspondences(Artifact):
                 "frame_a": ("int32", "number of the first frame"),
                 "camera_b": ("string", "camera of the second frame"),
                 "frame_b": ("int32", "number of the second frame"),
-                "n_attempts": ("int32", "candidates tried"),
-                "n_matches": ("int32", "candidates that passed every test"),
+                "n_attempts": ("int32", "pixels of the first frame that were tried"),
+                "n_matches": ("int32", "pixels that passed every test"),
                 "distance": ("float32", "metres between the camera centres"),
                 "angle": ("float32", "radians between the camera orientations"),
             }
@@ -66,6 +97,14 @@ class Correspondences(Artifact):
                 "v_b": ("float32", "pixel in the second frame"),
             }
         ),
+        "rejections.parquet": TableSpec(
+            {
+                "pair": ("int32", "number of the pair"),
+                "instance": ("uint8", "object that the pixel of the first frame shows"),
+                "reason": ("string", "first test that it failed"),
+                "n": ("int32", "number of such pixels, never 0"),
+            }
+        ),
     }
 
     def pairs(self) -> pa.Table:
@@ -77,46 +116,114 @@ class Correspondences(Artifact):
         filters = None if pairs is None else [("pair", "in", [int(pair) for pair in pairs])]
         return read_table(self, "matches.parquet", filters=filters)
 
+    def rejections(self) -> pa.Table:
+        """Pixels that were tried and are no match, by pair, object and reason."""
+        return read_table(self, "rejections.parquet")
+
+    def summary(self) -> list[str]:
+        """What became of the pixels that were tried, a line each, the most frequent first."""
+        numbers = self.metadata
+        outcomes = [("match", numbers.n_matches), *sorted(numbers.rejections.items(), key=lambda row: -row[1])]
+        return [f"{numbers.n_pairs} pairs of frames, {numbers.n_attempts} pixels tried"] + [
+            f"{n:>9}  {n / numbers.n_attempts:6.1%}  {name}" for name, n in outcomes if n
+        ]
+
     @staticmethod
-    def write(
-        out: Path,
-        pairs: Iterable[tuple[PairRow, dict[str, np.ndarray]]],
-        rejections: dict[str, int],
-        warnings: Sequence[str] = (),
+    @contextmanager
+    def writer(out: Path) -> Iterator[CorrespondencesWriter]:
+        """Write pairs as they come; `warnings` may be added to on the way."""
+        out.mkdir(parents=True, exist_ok=True)
+        writer = CorrespondencesWriter(out)
+        yield writer
+        writer.close()
+
+
+class CorrespondencesWriter:
+    """Streams pairs into an artifact, whole pairs in a row group."""
+
+    def __init__(self, out: Path) -> None:
+        self._out = out
+        self._pairs, self._matches, self._rejections = (
+            TableWriter(out, name) for name in ("pairs.parquet", "matches.parquet", "rejections.parquet")
+        )
+        self._n_pairs = self._n_attempts = self._n_matches = 0
+        self._totals: Counter[str] = Counter()
+        self.warnings: list[str] = []
+
+    def append(
+        self,
+        row: PairRow,
+        matches: Mapping[str, np.ndarray],
+        rejections: Mapping[tuple[int, str], int] | None = None,
     ) -> None:
-        """Write pairs as they come, a row group of matches each.
+        """Add a pair.
 
         Args:
-            pairs: a pair's row and its matches: `instance` (m,) uint8 and `u_a`, `v_a`, `u_b`, `v_b` (m,) float32.
-            rejections: filled by the time `pairs` is exhausted.
+            matches: `instance` (m,) uint8 and `u_a`, `v_a`, `u_b`, `v_b` (m,) float32.
+            rejections: number of pixels by the object they show and the reason.
         """
-        import numpy as np
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        out.mkdir(parents=True, exist_ok=True)
-        rows: list[dict[str, object]] = []
-        n_matches = 0
-        schema = arrow_schema(Correspondences.tables["matches.parquet"])
-        with pq.ParquetWriter(out / "matches.parquet", schema, compression="zstd", write_page_checksum=True) as writer:
-            for i_pair, (row, matches) in enumerate(pairs):
-                n = len(matches["instance"])
-                rows.append({"pair": i_pair, **row.model_dump(), "n_matches": n})
-                n_matches += n
-                if n:
-                    table = {"pair": np.full(n, i_pair, dtype=np.int32), **matches}
-                    writer.write_table(pa.table({name: table[name] for name in schema.names}, schema=schema))
-        pair_schema = arrow_schema(Correspondences.tables["pairs.parquet"])
-        pq.write_table(
-            pa.Table.from_pylist(rows, schema=pair_schema),
-            out / "pairs.parquet",
-            compression="zstd",
-            write_page_checksum=True,
+        n = len(matches["instance"])
+        pair = self._n_pairs
+        self._pairs.append(
+            {name: [value] for name, value in ({"pair": pair} | row.model_dump() | {"n_matches": n}).items()}
         )
+        self._matches.append({"pair": [pair] * n, **matches})
+        counted = {key: count for key, count in (rejections or {}).items() if count}
+        instances, reasons = [instance for instance, _ in counted], [reason for _, reason in counted]
+        self._rejections.append(
+            {"pair": [pair] * len(counted), "instance": instances, "reason": reasons, "n": list(counted.values())}
+        )
+        for reason, count in zip(reasons, counted.values(), strict=True):
+            self._totals[reason] += count
+        self._n_pairs += 1
+        self._n_attempts += row.n_attempts
+        self._n_matches += n
+
+    def close(self) -> None:
+        """Write what is buffered, and the totals."""
+        for table in (self._pairs, self._matches, self._rejections):
+            table.close()
         metadata = CorrespondencesMetadata(
-            n_pairs=len(rows), n_matches=n_matches, rejections=rejections, warnings=list(warnings)
+            n_pairs=self._n_pairs,
+            n_attempts=self._n_attempts,
+            n_matches=self._n_matches,
+            rejections=dict(self._totals),  # type: ignore[arg-type]
+            warnings=self.warnings,
         )
         attributes = {"kind": Correspondences.kind, "schema": Correspondences.schema_version}
-        write_group(out, {"bask": {**attributes, **metadata.model_dump(mode="json")}})
-        if n_matches != sum(int(row["n_matches"]) for row in rows):  # type: ignore[call-overload]
-            raise BadData(out, "n_matches", expected="the sum over pairs", got=n_matches)
+        write_group(self._out, {"bask": {**attributes, **metadata.model_dump(mode="json")}})
+
+
+class TableWriter:
+    """Streams rows into a Parquet table; what is appended together stays in one row group."""
+
+    def __init__(self, out: Path, name: str) -> None:
+        import pyarrow.parquet as pq
+
+        self._schema = arrow_schema(Correspondences.tables[name])
+        self._file = pq.ParquetWriter(out / name, self._schema, compression="zstd", write_page_checksum=True)
+        self._waiting: list[pa.Table] = []
+        self._n_waiting = 0
+
+    def append(self, columns: Mapping[str, Any]) -> None:
+        """Add rows, by column."""
+        import pyarrow as pa
+
+        self._waiting.append(pa.table({name: columns[name] for name in self._schema.names}, schema=self._schema))
+        self._n_waiting += self._waiting[-1].num_rows
+        if self._n_waiting >= ROWS_PER_GROUP:
+            self._flush()
+        elif len(self._waiting) >= TABLES_KEPT:
+            self._waiting = [pa.concat_tables(self._waiting).combine_chunks()]
+
+    def close(self) -> None:
+        """Write what is left and the table's footer."""
+        self._flush()
+        self._file.close()
+
+    def _flush(self) -> None:
+        import pyarrow as pa
+
+        if self._n_waiting:
+            self._file.write_table(pa.concat_tables(self._waiting).combine_chunks(), row_group_size=self._n_waiting)
+        self._waiting, self._n_waiting = [], 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,15 +18,19 @@ from bask_data.stage import Params, progress, stage
 if TYPE_CHECKING:
     import numpy as np
 
-    from bask_data.core.correspondences import Surface, View
+    from bask_data.core.correspondences import Matches, Surface, View
     from bask_data.core.views import Pairs
 
 N_SURFACE_POINTS = 512
 """Points on the objects by which the overlap of two frames is judged."""
 FAR = 10.0
 """Depth above this counts as not measured, metres."""
-N_FRAMES_KEPT = 64
-"""Prepared frames kept in memory, 2 MB each at 640x480; pairs come sorted by their first frame."""
+BYTES_KEPT = 128 * 2**20
+"""Of prepared frames that stay in memory for the next pairs; these come sorted by their first frame."""
+BYTES_PER_PIXEL = 10
+"""Of a prepared frame: depth, pixels by object, two label images."""
+FEW = 0.25
+"""An object with a smaller share of the matches asked for is told of."""
 
 
 class CorrespondencesParams(Params):
@@ -59,7 +63,7 @@ class CorrespondencesParams(Params):
     seed: int = Field(0, ge=0, description="Seed of the random choices.")
 
 
-@stage(makes=Correspondences, version=1)
+@stage(makes=Correspondences, version=2)
 def correspondences(
     scan: Scan,
     reconstruction: Reconstruction,
@@ -81,15 +85,15 @@ def correspondences(
     cameras = [(camera, masks.camera(camera.name)) for camera in scan.cameras]
     frames = [(i_camera, i) for i_camera, (camera, _) in enumerate(cameras) for i in range(camera.n_frames)]
     rng = np.random.default_rng(params.seed)
-    chosen = _choose(scan, reconstruction, objects, masks, params, rng)
-    has_surface = params.use_surface and len(reconstruction.triangles) > 0
+    has_surface = len(reconstruction.triangles) > 0
     surface = Surface(reconstruction.vertices, reconstruction.triangles) if has_surface else None
-    ready = lru_cache(maxsize=N_FRAMES_KEPT)(lambda i_camera, i: _view(*cameras[i_camera], i, surface, params))
-    rejections = Counter(dict.fromkeys(REJECTIONS, 0))
-
-    def matched() -> Iterator[tuple[PairRow, dict[str, np.ndarray]]]:
+    chosen = _choose(scan, reconstruction, objects, masks, surface, params, rng)
+    depth_from = surface if params.use_surface else None
+    ready = lru_cache(n_kept(scan))(lambda i_camera, i: _view(*cameras[i_camera], i, depth_from, params))
+    tally = Tally()
+    with Correspondences.writer(out) as writer:
         rows = zip(chosen.frames.tolist(), chosen.distance.tolist(), chosen.angle.tolist(), strict=True)
-        for (a, b), distance, angle in progress(list(rows), "matching pairs"):
+        for (a, b), distance, angle in progress(rows, "matching pairs", len(chosen.frames)):
             found = match(
                 ready(*frames[a]),
                 ready(*frames[b]),
@@ -99,7 +103,6 @@ def correspondences(
                 (params.tolerance, params.tolerance_per_metre),
                 params.max_cycle,
             )
-            rejections.update(found.rejections)
             (camera_a, frame_a), (camera_b, frame_b) = frames[a], frames[b]
             row = PairRow(
                 camera_a=cameras[camera_a][0].name,
@@ -111,9 +114,67 @@ def correspondences(
                 angle=angle,
             )
             (u_a, v_a), (u_b, v_b) = found.uv_a.T, found.uv_b.T
-            yield row, {"instance": found.instance, "u_a": u_a, "v_a": v_a, "u_b": u_b, "v_b": v_b}
+            columns = {"instance": found.instance, "u_a": u_a, "v_a": v_a, "u_b": u_b, "v_b": v_b}
+            rejections = {
+                (int(k), why): int(n)
+                for k, counts in zip(found.tried, found.rejections, strict=True)
+                for why, n in zip(REJECTIONS, counts, strict=True)
+                if n
+            }
+            writer.append(row, columns, rejections)
+            tally.add(found, params.n_matches)
+        writer.warnings += [*_too_few_pairs(chosen, masks, params), *tally.warnings(masks.n_instances)]
 
-    Correspondences.write(out, matched(), rejections, warnings=_warnings(chosen, params))
+
+@dataclass
+class Tally:
+    """What became of each object over all pairs, to tell where matches are missing and why."""
+
+    n_pairs: int = 0
+    n_empty: int = 0
+    asked: Counter[int] = field(default_factory=Counter)
+    found: Counter[int] = field(default_factory=Counter)
+    rejected: Counter[tuple[int, str]] = field(default_factory=Counter)
+
+    def add(self, matches: Matches, n_matches: int) -> None:
+        """Count a pair, of which `n_matches` were asked for."""
+        from bask_data.core.correspondences import REJECTIONS
+
+        self.n_pairs += 1
+        self.n_empty += not len(matches.instance)
+        for instance, counts in zip(matches.tried.tolist(), matches.rejections.tolist(), strict=True):
+            self.asked[instance] += n_matches // len(matches.tried)
+            self.found[instance] += int((matches.instance == instance).sum())
+            for why, n in zip(REJECTIONS, counts, strict=True):
+                self.rejected[instance, why] += n
+
+    def warnings(self, n_instances: int) -> list[str]:
+        """Pairs without a match, objects without or with few."""
+        if not self.n_pairs:
+            return []
+        said = []
+        if self.n_empty:
+            said.append(f"{self.n_empty} of {self.n_pairs} pairs of frames have no match")
+        for instance in range(1, n_instances + 1):
+            if not self.asked[instance]:
+                said.append(
+                    f"object {instance} has no match: no pair of frames shows it twice, clear of its mask's edges"
+                )
+            elif self.found[instance] < FEW * self.asked[instance]:
+                reasons = {why: n for (k, why), n in self.rejected.items() if k == instance and n}
+                most = max(reasons, key=lambda why: reasons[why], default="too few pixels")
+                share = f" ({reasons[most] / sum(reasons.values()):.0%} of {sum(reasons.values())})" if reasons else ""
+                said.append(
+                    f"object {instance} has {self.found[instance]} of {self.asked[instance]} matches; most pixels that "
+                    f"are none: {most}{share}"
+                )
+        return said
+
+
+def n_kept(scan: Scan) -> int:
+    """How many prepared frames may stay in memory, two at least: those of a pair."""
+    largest = max((camera.height * camera.width for camera in scan.cameras), default=1)
+    return max(2, BYTES_KEPT // (BYTES_PER_PIXEL * largest))
 
 
 def _check(scan: Scan, masks: VisibleMasks) -> None:
@@ -134,6 +195,7 @@ def _choose(
     reconstruction: Reconstruction,
     objects: ObjectInstances,
     masks: VisibleMasks,
+    surface: Surface | None,
     params: CorrespondencesParams,
     rng: np.random.Generator,
 ) -> Pairs:
@@ -153,8 +215,11 @@ def _choose(
     is_seen = []
     for camera in scan.cameras:
         shown = seen(points, normals, camera.K, camera.world_from_cameras, camera.height, camera.width)
-        if len(drawn):
-            # NaN, no projection at all, is not greater than zero either.
+        if len(drawn) and surface is not None:
+            for row, world_from_camera in zip(shown, camera.world_from_cameras, strict=True):
+                row[row] = surface.unhidden(points[row], world_from_camera)
+            # What is no part of the surface, as a hand, hides objects too. NaN, no projection at all, is not greater
+            # than zero either.
             shown &= masks.camera(camera.name).visible_fraction[:, instance - 1] > 0
         is_seen.append(shown)
     return choose_pairs(
@@ -177,7 +242,9 @@ def _view(
 
     measured = depth.in_range(camera.depth(i_frame), 0.0, FAR)
     # Flying pixels go, but gaps are not filled as for fusion: a mean of neighbours is off at every edge of an object.
-    measured[depth.flying(measured)] = 0
+    # Nor does the surface fill them: where a measurement was thrown away, either of the two may be wrong.
+    flying = depth.flying(measured)
+    measured[flying] = 0
     return view(
         measured,
         masks.instance(i_frame),
@@ -186,10 +253,13 @@ def _view(
         surface,
         (params.tolerance, params.tolerance_per_metre),
         params.margin,
+        flying,
     )
 
 
-def _warnings(chosen: Pairs, params: CorrespondencesParams) -> list[str]:
+def _too_few_pairs(chosen: Pairs, masks: VisibleMasks, params: CorrespondencesParams) -> list[str]:
+    if masks.n_instances == 0:
+        return ["no match: the scene has no object.  fix: look at what `bask-data objects` found."]
     if len(chosen.frames) >= params.n_pairs:
         return []
     return [

@@ -43,23 +43,23 @@ def learning_dataset(root: Path, scenes: tuple[str, ...] = ("a",), n_views: int 
                     camera.append(image.instance, np.ones(scene.n_objects, np.float32))
 
         def fill_matches(out: Path, seed=seed, world_from_cameras=world_from_cameras) -> None:
-            source, rows = pairs.ScenePairs(n_views, seed), []
+            source = pairs.ScenePairs(n_views, seed)
             indices = [(a, b) for a in range(n_views) for b in range(n_views) if a != b]
-            for i, (a, b) in enumerate(indices):
-                pair = source.pair(i)
-                distance, angle = view_change(world_from_cameras[a], world_from_cameras[b])
-                row = PairRow(
-                    camera_a="wrist",
-                    frame_a=a,
-                    camera_b="wrist",
-                    frame_b=b,
-                    n_attempts=400,
-                    distance=float(distance),
-                    angle=float(angle),
-                )
-                names = {"u_a": pair.uv_a[:, 0], "v_a": pair.uv_a[:, 1], "u_b": pair.uv_b[:, 0], "v_b": pair.uv_b[:, 1]}
-                rows.append((row, {"instance": pair.instance, **names}))
-            Correspondences.write(out, iter(rows), {})
+            with Correspondences.writer(out) as writer:
+                for i, (a, b) in enumerate(indices):
+                    pair = source.pair(i)
+                    distance, angle = view_change(world_from_cameras[a], world_from_cameras[b])
+                    row = PairRow(
+                        camera_a="wrist",
+                        frame_a=a,
+                        camera_b="wrist",
+                        frame_b=b,
+                        n_attempts=400,
+                        distance=float(distance),
+                        angle=float(angle),
+                    )
+                    (u_a, v_a), (u_b, v_b) = pair.uv_a.T, pair.uv_b.T
+                    writer.append(row, {"instance": pair.instance, "u_a": u_a, "v_a": v_a, "u_b": u_b, "v_b": v_b})
 
         publish_artifact(dataset, VisibleMasks, item, fill_masks)
         publish_artifact(dataset, Correspondences, item, fill_matches)

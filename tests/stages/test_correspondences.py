@@ -1,17 +1,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import get_args
 
 import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
+from bask_data.core.correspondences import REJECTIONS, Matches
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
 from bask_data.dataset import Dataset
 from bask_data.kinds import Correspondences, InstanceRow, ObjectInstances, VisibleMasks
+from bask_data.kinds import correspondences as kind
+from bask_data.kinds.correspondences import Rejection
 from bask_data.stage import make, plan
-from bask_data.stages.correspondences import correspondences
+from bask_data.stages.correspondences import Tally, correspondences, n_kept
 from tests import meshes, scenes
 from tests.datasets import publish_artifact, publish_mesh, publish_recording
 
@@ -30,7 +35,7 @@ def body(x, y, size):
 SCENE = scenes.Scene(tuple(body(*one) for one in BLOCKS))
 
 
-def dataset_of(root, cameras, blocks=BLOCKS, masked=None):
+def dataset_of(root, cameras, blocks=BLOCKS, masked=None, depth=None):
     """A scan of the scene with its exact reconstruction, objects and masks, as if the earlier stages had made them."""
     dataset = Dataset.create(root)
     images = [SCENE.render(K, camera, HEIGHT, WIDTH) for camera in cameras]
@@ -39,7 +44,7 @@ def dataset_of(root, cameras, blocks=BLOCKS, masked=None):
         dataset,
         "a",
         rgb=[image.rgb for image in images],
-        depth=[np.minimum(image.depth, 6.0) for image in images],
+        depth=[np.minimum(image, 6.0) for image in depth or [image.depth for image in images]],
         K=K,
         world_from_cameras=cameras,
     )
@@ -117,16 +122,52 @@ def test_matches_are_where_the_surface_is(dataset, cameras, use_surface):
 
 def test_every_attempt_is_accounted_for(dataset):
     result = made(dataset)
-    n_attempts = sum(row["n_attempts"] for row in result.pairs().to_pylist())
-    assert result.metadata.n_matches + sum(result.metadata.rejections.values()) == n_attempts
-    assert result.metadata.warnings == []
+    numbers, pairs, rejections = result.metadata, result.pairs().to_pylist(), result.rejections()
+    assert sum(row["n_attempts"] for row in pairs) == numbers.n_attempts
+    assert numbers.n_matches + sum(numbers.rejections.values()) == numbers.n_attempts
+    assert numbers.warnings == []
+    assert 0 not in rejections["n"].to_pylist()
+    for row in pairs:
+        mine = rejections.filter(pc.field("pair") == row["pair"])
+        assert row["n_matches"] + sum(mine["n"].to_pylist()) == row["n_attempts"]
+    for reason, n in numbers.rejections.items():
+        mine = rejections.filter(pc.field("reason") == reason)
+        assert sum(mine["n"].to_pylist()) == n
+        assert set(mine["instance"].to_pylist()) <= {1, 2}
 
 
-def test_a_row_group_holds_whole_pairs(dataset):
+def test_the_reasons_are_those_of_the_core():
+    assert get_args(Rejection) == REJECTIONS
+
+
+def test_the_summary_says_what_became_of_the_pixels(dataset):
+    result = made(dataset)
+    first, *rows = result.summary()
+    assert first == f"20 pairs of frames, {result.metadata.n_attempts} pixels tried"
+    assert rows[0].split() == [
+        str(result.metadata.n_matches),
+        f"{result.metadata.n_matches / result.metadata.n_attempts:.1%}",
+        "match",
+    ]
+    assert {row.split()[-1]: int(row.split()[0]) for row in rows[1:]} == result.metadata.rejections
+
+
+def test_a_row_group_holds_whole_pairs(dataset, monkeypatch):
+    monkeypatch.setattr(kind, "ROWS_PER_GROUP", 300)
     file = pq.ParquetFile(made(dataset).path / "matches.parquet")
-    groups = [set(file.read_row_group(i)["pair"].to_pylist()) for i in range(file.num_row_groups)]
-    assert all(len(group) == 1 for group in groups)
-    assert len(set().union(*groups)) == len(groups)
+    groups = [file.read_row_group(i)["pair"].to_pylist() for i in range(file.num_row_groups)]
+    assert len(groups) > 2
+    assert all(300 <= len(group) < 400 for group in groups[:-1])
+    assert sum(len(set(group)) for group in groups) == len(set().union(*groups))
+
+
+def test_what_is_written_does_not_hang_on_when(dataset, monkeypatch):
+    whole = made(dataset).rejections()
+    monkeypatch.setattr(kind, "TABLES_KEPT", 3)
+    monkeypatch.setattr(kind, "ROWS_PER_GROUP", 7)
+    parts = made(dataset)
+    assert parts.rejections().equals(whole)
+    assert parts.pairs()["pair"].to_pylist() == list(range(20))
 
 
 def test_same_seed_same_bytes_and_another_seed_others(dataset):
@@ -134,9 +175,9 @@ def test_same_seed_same_bytes_and_another_seed_others(dataset):
     assert run(dataset).digest != run(dataset, seed=1).digest
 
 
-def test_version_1_gives_the_golden_result(dataset):
-    golden = np.load(GOLDEN / "correspondences_v1.npz")
-    assert correspondences.version == 1, "save a golden file for the new version"
+def test_version_2_gives_the_golden_result(dataset):
+    golden = np.load(GOLDEN / "correspondences_v2.npz")
+    assert correspondences.version == 2, "save a golden file for the new version"
     matches = made(dataset, n_pairs=6, n_matches=30).matches()
     for name in ("pair", "instance", "u_a", "v_a"):
         np.testing.assert_array_equal(matches[name].to_numpy(), golden[name])
@@ -148,16 +189,57 @@ def test_too_few_pairs_are_told_with_the_reason(tmp_path, cameras):
     still = np.concatenate([cameras[:1].repeat(3, axis=0), cameras[5:6]])
     result = made(dataset_of(tmp_path / "d", still))
     assert result.metadata.n_pairs == 3
-    assert result.metadata.warnings == [
+    assert result.metadata.warnings[:1] == [
         "only 3 of 20 pairs of frames: of 6 looked at, 3 differ by less than 0.2 m and 20.0 degrees, and 0 share less "
         "than 0.15 of the objects' surface"
     ]
 
 
-def test_a_scene_without_objects_has_no_pairs_and_says_so(tmp_path, cameras):
+def test_a_scene_without_objects_gives_an_empty_artifact_that_says_so(tmp_path, cameras):
     result = made(dataset_of(tmp_path / "d", cameras[:4], blocks=[]))
-    assert (result.metadata.n_pairs, result.matches().num_rows) == (0, 0)
-    assert result.metadata.warnings[0].startswith("only 0 of 20 pairs of frames: of 6 looked at")
+    assert (result.metadata.n_pairs, result.metadata.n_attempts, result.metadata.rejections) == (0, 0, {})
+    assert [table.num_rows for table in (result.pairs(), result.matches(), result.rejections())] == [0, 0, 0]
+    assert result.summary() == ["0 pairs of frames, 0 pixels tried"]
+    assert result.metadata.warnings == [
+        "no match: the scene has no object.  fix: look at what `bask-data objects` found."
+    ]
+
+
+def test_objects_without_matches_are_named_with_the_reason(tmp_path, cameras):
+    """A sheet between the cameras and object 1 that neither mesh nor masks know of."""
+    images = [SCENE.render(K, camera, HEIGHT, WIDTH) for camera in cameras]
+    in_front = [np.where(image.instance == 1, np.float32(0.2), image.depth) for image in images]
+    result = made(dataset_of(tmp_path / "d", cameras, depth=in_front))
+    assert result.metadata.n_matches > 0
+    [warning] = result.metadata.warnings
+    assert warning == "object 1 has no match: no pair of frames shows it twice, clear of its mask's edges"
+
+
+def test_a_tally_names_pairs_without_match_and_objects_with_few():
+    tally = Tally()
+    rejections = np.zeros((2, len(REJECTIONS)), np.int64)
+    rejections[0, REJECTIONS.index("hidden_in_b")] = 30
+    rejections[0, REJECTIONS.index("cycle")] = 10
+    nothing = np.zeros((0, 2), np.float32)
+    some = np.zeros((50, 2), np.float32)
+    tried = np.array([1, 3], np.uint8)
+    tally.add(Matches(np.full(50, 3, np.uint8), some, some, tried, rejections), 100)
+    tally.add(Matches(np.zeros(0, np.uint8), nothing, nothing, tried[:1], rejections[:1]), 100)
+    assert tally.warnings(3) == [
+        "1 of 2 pairs of frames have no match",
+        "object 1 has 0 of 150 matches; most pixels that are none: hidden_in_b (75% of 80)",
+        "object 2 has no match: no pair of frames shows it twice, clear of its mask's edges",
+    ]
+    assert Tally().warnings(3) == []
+
+
+def test_prepared_frames_kept_are_bounded_in_bytes_but_a_pair_fits():
+    def scan(height, width):
+        return SimpleNamespace(cameras=[SimpleNamespace(height=height, width=width)])
+
+    assert 20 <= n_kept(scan(480, 640)) <= 64
+    assert n_kept(scan(480, 640)) == pytest.approx(4 * n_kept(scan(960, 1280)), abs=4)
+    assert n_kept(scan(20_000, 20_000)) == 2
 
 
 def test_masks_of_another_scan_are_refused(tmp_path, cameras):
