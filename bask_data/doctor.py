@@ -94,6 +94,7 @@ def checks(folder: Path | None = None) -> list[Check]:
         *modules,
         cuda_check(probe(_ASK_TORCH), nvidia_driver_version()),
         *optional_checks(installed_versions()),
+        *drawing_checks(installed_versions(), probe(_DRAW)),
         disk_check(folder or Path.cwd()),
         memory_check(),
     ]
@@ -246,6 +247,7 @@ def optional_checks(installed: dict[str, str]) -> list[Check]:
         Check("git", git is not None, git or "not found; DVC needs it", False, "sudo apt-get install git"),
         _extra_check("dvc", "dvc", "`dvc repro` needs it", installed),
         _extra_check("distributed", "cluster", "--cluster needs it", installed),
+        _extra_check("mujoco", "sim", "`ingest sim` needs it", installed),
     ]
 
 
@@ -253,6 +255,28 @@ def _extra_check(name: str, extra: str, purpose: str, installed: dict[str, str])
     version = installed.get(name)
     found = version or f"not installed; {purpose}"
     return Check(name, version is not None, found, False, f"pip install 'bask-data[{extra}]'")
+
+
+_DRAW = """
+import mujoco, sys
+from bask_data.errors import MissingDependency
+from bask_data.sim.engine import drawing
+try:
+    context, drawer = drawing(mujoco.MjModel.from_xml_string("<mujoco/>"))
+except MissingDependency as error:
+    sys.exit(error.got)
+drawer.free()
+context.free()
+"""
+
+
+def drawing_checks(installed: dict[str, str], drawn: Probe) -> list[Check]:
+    """Whether the simulator, where it is installed, can draw without a screen."""
+    from bask_data.sim.engine import NO_GL_FIX
+
+    if "mujoco" not in installed:
+        return []
+    return [Check("drawing", drawn.ok, "works" if drawn.ok else drawn.fault, needed=False, fix=NO_GL_FIX)]
 
 
 def disk_check(folder: Path) -> Check:

@@ -103,7 +103,7 @@ def test_a_file_in_the_current_folder_does_not_pass_for_a_module(
 
 def test_what_only_some_commands_need_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor.shutil, "which", lambda _: None)
-    git, dvc, distributed = doctor.optional_checks({"dvc": "3.67.1"})
+    git, dvc, distributed, *others = doctor.optional_checks({"dvc": "3.67.1"})
     assert (git.ok, git.needed, git.found, git.fix) == (
         False,
         False,
@@ -112,6 +112,20 @@ def test_what_only_some_commands_need_is_noted(monkeypatch: pytest.MonkeyPatch) 
     )
     assert (dvc.ok, dvc.found) == (True, "3.67.1")
     assert (distributed.ok, distributed.needed, distributed.fix) == (False, False, "pip install 'bask-data[cluster]'")
+    [mujoco] = [check for check in others if check.name == "mujoco"]
+    assert (mujoco.ok, mujoco.needed, mujoco.fix) == (False, False, "pip install 'bask-data[sim]'")
+
+
+def test_what_the_simulator_draws_with_is_tried_where_the_simulator_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert doctor.drawing_checks({}, Probe(False, "", "No module named 'mujoco'")) == []
+    [works] = doctor.drawing_checks({"mujoco": "3.17.0"}, doctor.probe(doctor._DRAW))
+    assert (works.ok, works.needed, works.found) == (True, False, "works")
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "egl")
+    [broken] = doctor.drawing_checks({"mujoco": "3.17.0"}, doctor.probe(doctor._DRAW))
+    assert not broken.ok
+    assert "OSMesa" in broken.found
+    assert "libegl1 libegl-mesa0" in broken.fix
 
 
 def torch_says(cuda: bool = False, built_for: str | None = None) -> Probe:
