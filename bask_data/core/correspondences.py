@@ -19,7 +19,6 @@ from numpy import ndarray
 from bask_data.core.geometry import invert_rigid, unproject
 
 REJECTIONS = (
-    "edge_in_a",
     "outside_b",
     "no_depth_in_b",
     "hidden_in_b",
@@ -31,7 +30,6 @@ REJECTIONS = (
 )
 """Reasons in the order they are tested; a pixel that was tried counts for the first it fails."""
 (
-    _EDGE_IN_A,
     _OUTSIDE_B,
     _NO_DEPTH_IN_B,
     _HIDDEN_IN_B,
@@ -174,20 +172,31 @@ def view(
         sure = np.where(contradicted, np.uint8(0), sure)
         sure.reshape(-1)[where[cosine < GRAZING]] = 0
     instance, depth = np.ascontiguousarray(instance), np.ascontiguousarray(depth)
-    inner, pixels, first = inside(instance, np.ascontiguousarray(sure), depth, margin)
+    steepest = EDGE * tolerance[0], EDGE * tolerance[1] + STEEPEST / K[0, 0]
+    inner, pixels, first = inside(instance, np.ascontiguousarray(sure), depth, margin, steepest)
     return View(depth, instance, inner, pixels, first, K, world_from_camera, margin, noise)
+
+
+@njit(inline="always")
+def _is_jump(one, other, steepest):  # type: ignore[no-untyped-def]
+    """Whether two neighbouring pixels show two surfaces; what has no depth says nothing."""
+    return one > 0 and other > 0 and abs(one - other) > steepest[0] + steepest[1] * min(one, other)
 
 
 @njit(cache=True)
 def inside(  # type: ignore[no-untyped-def]
-    instance, sure, depth, margin
+    instance, sure, depth, margin, steepest
 ):
-    """Labels whose pixels around, `margin` far, are all the same, that are sure, and have depth, else 0 (h, w);
-    beyond the image's border all are the same. And the flat indices of these pixels, grouped by label, and where each
-    label begins (257,).
+    """Labels whose pixels around, `margin` far, are all the same and of one surface, that are sure, and have depth,
+    else 0 (h, w); beyond the image's border all are the same. And the flat indices of these pixels, grouped by label,
+    and where each label begins (257,).
 
     One pass over the image: a window of one label is as many rows of it below each other as the window is high, and in
-    each the label's run must be as long as the window is wide.
+    each the label's run must be as long as the window is wide. A step in depth ends a run, along a row and along the
+    middle column: no edge crosses a window without crossing one of these.
+
+    Args:
+        steepest: (a, b): from a pixel to the next, depth z of one surface changes by at most a + b z metres.
     """
     height, width = instance.shape
     inner = np.zeros((height, width), np.uint8)
@@ -206,7 +215,9 @@ def inside(  # type: ignore[no-untyped-def]
         rows[:left], rows[right:] = 0, 0
         run = left
         for u_end in range(left, right + margin):
-            if left < u_end < width and row[u_end] != row[u_end - 1]:
+            if left < u_end < width and (
+                row[u_end] != row[u_end - 1] or _is_jump(depth[here, u_end], depth[here, u_end - 1], steepest)
+            ):
                 run = u_end
             u = u_end - margin
             if u < left:
@@ -215,7 +226,12 @@ def inside(  # type: ignore[no-untyped-def]
             if label == 0 or run > max(u - margin, 0):
                 rows[u] = 0
                 continue
-            rows[u] = margin + 1 if v == 0 else rows[u] + 1 if above[u] == label else 1
+            if v == 0:
+                rows[u] = margin + 1
+            elif above[u] == label and (v >= height or not _is_jump(depth[v, u], depth[v - 1, u], steepest)):
+                rows[u] += 1
+            else:
+                rows[u] = 1
             centre = v - margin
             if centre >= 0 and rows[u] > 2 * margin and sure[centre, u] == label and depth[centre, u] > 0:
                 inner[centre, u] = label
@@ -319,8 +335,8 @@ def match(
     quota = shares(count[shared], n_attempts)
     b_from_a = invert_rigid(b.world_from_camera) @ a.world_from_camera
     label, found, rejections = _search(
-        (a.depth, a.K, a.margin, a.noise),
-        (b.depth, b.K, b.margin, b.noise),
+        (a.depth, a.K, a.noise),
+        (b.depth, b.K, b.margin),
         b.instance,
         b.sure,
         b_from_a,
@@ -346,7 +362,7 @@ def _search(  # type: ignore[no-untyped-def]
     """Matches as found: labels (m,), (u, v, u, v) (m, 4), and rejections (k, reasons).
 
     Args:
-        a, b: depth, intrinsics, margin and noise of the two views.
+        a, b: depth and intrinsics of the two views, the noise of a, and the margin of b.
         quota: pixels to try of each of the `shared` instances.
         draws: uniform in [0, 1), one for each of these.
     """
@@ -389,12 +405,10 @@ def _follow(  # type: ignore[no-untyped-def]
     u, v, label, a, b, instance_b, sure_b, b_from_a, a_from_b, tolerance, max_cycle
 ):
     """The first test that a pixel of `a` fails, or `_MATCH`, and where it is in `b`."""
-    depth_a, K_a, margin_a, noise_a = a
-    depth_b, K_b, margin_b, _noise_b = b
+    depth_a, K_a, noise_a = a
+    depth_b, K_b, margin_b = b
     height, width = depth_b.shape
     z_a = float(depth_a[v, u])
-    if _at_edge(depth_a, u, v, z_a, K_a[0, 0], margin_a, tolerance, True):
-        return _EDGE_IN_A, np.nan, np.nan
     u_b, v_b, z = _carried(float(u), float(v), z_a, K_a, b_from_a, K_b)
     if not (z > 0 and -0.5 <= u_b < width - 0.5 and -0.5 <= v_b < height - 0.5):
         return _OUTSIDE_B, u_b, v_b
@@ -417,7 +431,7 @@ def _follow(  # type: ignore[no-untyped-def]
     off = noise_a * (tolerance[0] + tolerance[1] * z_a)
     u_off, v_off, _ = _carried(float(u), float(v), z_a + off, K_a, b_from_a, K_b)
     reach = margin_b + min(int(np.sqrt((u_off - u_b) ** 2 + (v_off - v_b) ** 2) + 0.5), MOST_REACH)
-    if _at_edge(depth_b, column, row, z, K_b[0, 0], reach, tolerance, False):
+    if _is_crowded(depth_b, column, row, z, K_b[0, 0], reach, tolerance):
         return _EDGE_IN_B, u_b, v_b
     return _MATCH, u_b, v_b
 
@@ -473,18 +487,18 @@ def depth_between(depth, u, v, tolerance):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _at_edge(depth, u, v, z, focal, margin, tolerance, both_sides):  # type: ignore[no-untyped-def]
-    """Whether some surface within `margin` pixels is nearer than the slope of one surface explains, or farther."""
+def _is_crowded(depth, u, v, z, focal, reach, tolerance):  # type: ignore[no-untyped-def]
+    """Whether within `reach` pixels some surface is nearer than the slope of one surface explains."""
     height, width = depth.shape
     allowed = EDGE * (tolerance[0] + tolerance[1] * z)
-    lowest, highest = np.float32(z - allowed), np.float32(z + allowed if both_sides else np.inf)
+    nearest = np.float32(z - allowed)
     per_pixel = STEEPEST * z / focal
-    for row in range(max(v - margin, 0), min(v + margin + 1, height)):
+    for row in range(max(v - reach, 0), min(v + reach + 1, height)):
         around = depth[row]
-        for column in range(max(u - margin, 0), min(u + margin + 1, width)):
-            # Most pixels pass here, at two comparisons of the smaller type each.
-            if (around[column] < lowest or around[column] > highest) and around[column] > 0:
+        for column in range(max(u - reach, 0), min(u + reach + 1, width)):
+            # Most pixels pass here, at one comparison of the smaller type each.
+            if 0 < around[column] < nearest:
                 slope = per_pixel * np.sqrt((row - v) ** 2 + (column - u) ** 2)
-                if abs(around[column] - z) > allowed + slope:
+                if around[column] < z - allowed - slope:
                     return True
     return False

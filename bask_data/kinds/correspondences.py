@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 Rejection = Literal[
-    "edge_in_a",
     "outside_b",
     "no_depth_in_b",
     "hidden_in_b",
@@ -28,14 +27,15 @@ Rejection = Literal[
 ]
 """Why a pixel that was tried is no match; of several reasons the first.
 
-- `edge_in_a`, `edge_in_b`: another surface begins within a pixel or two, so which one the pixel shows is up to chance.
 - `outside_b`: its point is outside the second image.
 - `no_depth_in_b`: what the second frame shows there has no known depth.
 - `hidden_in_b`: something stands in front.
 - `other_surface_in_b`: what is seen there is farther away.
 - `other_instance_in_b`: what is seen there is another object, or none.
-- `doubtful_in_b`: the same object, but at the edge of its mask, seen too obliquely, or contradicted by the measurement.
+- `doubtful_in_b`: the same object, but at the edge of its mask or of a surface, seen too obliquely, or contradicted by
+  the measurement.
 - `cycle`: the way back by the depth of the second frame ends elsewhere.
+- `edge_in_b`: something in front is so close that it may hide the point.
 """
 ROWS_PER_GROUP = 1 << 16
 """Rows gathered before they are written, as a row group: 1 MB of matches."""
