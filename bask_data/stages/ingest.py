@@ -9,13 +9,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from bask_data.artifact import Artifact, digest_of, file_digest, new_scratch, publish, read_manifest, seal
+from bask_data.artifact import digest_of, file_digest
 from bask_data.dataset import DATASET, Dataset, Source, check_name
-from bask_data.errors import BadData, UsageError, WouldOverwrite
+from bask_data.errors import BadData
 from bask_data.formats import Format
 from bask_data.kinds import Demonstration, Recording, Robot, Scan, Truth
 from bask_data.params import Params
-from bask_data.stage import Outcome, progress, record
+from bask_data.stage import Outcome, progress
+from bask_data.stages.recordings import is_current, published, refuse_other_scope, scratches, undone_if_new, up_to_date
 
 if TYPE_CHECKING:
     from bask_data.formats import recording
@@ -47,38 +48,17 @@ def ingest(
     """
     makes = Scan if kind == "scan" else Demonstration
     check_name(item, root / DATASET)
-    if (root / DATASET).exists():
-        _refuse_other_scope(Dataset(root), makes, item)
+    refuse_other_scope(root, makes, item, "choose another --scene.")
     read = format.read(source, options)
     key = _key(makes, format, options, source, read)
-    target = root / makes.kind / item
-    if target.exists() and not force:
-        if read_manifest(target).key == key:
-            digest = read_manifest(target).digest
-            # A kill between publishing and listing leaves a recording that no command would look at.
-            dataset = Dataset.open_or_create(root)
-            if item not in dataset.items(makes.scope):
-                _enter(dataset, item, format, source, options, makes, read)
-            return [
-                Outcome(
-                    f"ingest {makes.kind} {item}", makes.kind, item, "main", str(target), "up to date", digest=digest
-                )
-            ], {}
-        raise WouldOverwrite(
-            target,
-            "",
-            expected="no recording of that name",
-            got="one from another source or with other options",
-            fix="choose another --scene, or pass --force.",
-        )
-    is_new = not root.exists()
-    try:
+    if not force and is_current(root, makes, item, key, "choose another --scene, or pass --force."):
+        # A kill between publishing and listing leaves a recording that no command would look at.
+        dataset = Dataset.open_or_create(root)
+        if item not in dataset.items(makes.scope):
+            _enter(dataset, item, format, source, options, makes, read)
+        return [up_to_date(root, makes, item)], {}
+    with undone_if_new(root):
         return _write(root, item, format, source, options, makes, read, key), read.assumptions
-    except BaseException:
-        # Another process may have ingested into the same new directory meanwhile.
-        if is_new and not ((root / DATASET).exists() and Dataset(root).items("recording")):
-            shutil.rmtree(root, ignore_errors=True)
-        raise
 
 
 def _write(
@@ -92,48 +72,25 @@ def _write(
     key: str,
 ) -> list[Outcome]:
     dataset = Dataset.open_or_create(root)
-    outcomes = []
-    fills: list[tuple[type[Artifact], Callable[[Path], None]]] = [
-        (makes, lambda out: _write_recording(out, makes, format, read))
-    ]
-    if any(camera.labels for camera in read.cameras):
-        fills.insert(0, (Truth, lambda out: _write_truth(out, read)))
-    for artifact, fill in fills:
-        begun = time.perf_counter()
-        dataset.prepare(artifact)
-        target = dataset.path(artifact, item)
-        scratch = new_scratch(root, artifact.kind)
-        try:
-            fill(scratch)
-            manifest = seal(
-                scratch,
-                artifact=artifact,
-                stage=f"ingest {format.name}",
-                stage_version=INGEST_VERSION,
-                params=options.model_dump(mode="json"),
-                inputs={"source": _source_digest(source, read)},
-                key=key,
-            )
-            publish(scratch, target)
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
-        record(root, target, begun, key)
-        seconds = time.perf_counter() - begun
-        outcomes.append(
-            Outcome(
-                f"ingest {artifact.kind} {item}",
-                artifact.kind,
-                item,
-                "main",
-                str(target),
-                "made",
-                "",
-                seconds,
-                manifest.digest,
-            )
+    has_truth = any(camera.labels for camera in read.cameras)
+    begun = time.perf_counter()
+    with scratches(dataset, [Truth, makes] if has_truth else [makes]) as written:
+        if has_truth:
+            _write_truth(written[Truth], read)
+        _write_recording(written[makes], makes, format, read)
+        outcomes = published(
+            dataset,
+            item,
+            written,
+            begun,
+            format=format.name,
+            version=INGEST_VERSION,
+            params=options.model_dump(mode="json"),
+            inputs={"source": _source_digest(source, read)},
+            key=key,
         )
     _enter(dataset, item, format, source, options, makes, read)
-    return outcomes[::-1]
+    return outcomes
 
 
 def _enter(
@@ -152,18 +109,6 @@ def _enter(
     path = os.path.relpath(source.resolve(), dataset.root.resolve())
     given = options.model_dump(mode="json", exclude_defaults=True)
     dataset.add(makes.scope, item, Source(format=format.name, path=path, options=given))
-
-
-def _refuse_other_scope(dataset: Dataset, makes: type[Recording], item: str) -> None:
-    other = "demonstration" if makes is Scan else "scene"
-    if item in dataset.items(other):
-        raise UsageError(
-            dataset.root / DATASET,
-            item,
-            expected="a new name",
-            got=f"the name of a {other}",
-            fix="choose another --scene.",
-        )
 
 
 def _source_digest(source: Path, read: recording.Recording) -> str:

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import re
-import shutil
 import time
 from collections.abc import Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bask_data.artifact import Artifact, digest_of, new_scratch, publish, read_manifest, seal
-from bask_data.dataset import DATASET, Dataset, Source
-from bask_data.errors import UsageError, WouldOverwrite
+from bask_data.artifact import digest_of
+from bask_data.dataset import Dataset, Source
+from bask_data.errors import UsageError
 from bask_data.kinds import Demonstration, Robot, Scan, Truth
 from bask_data.sim.options import TASKS, SimOptions
-from bask_data.stage import Outcome, progress, record
+from bask_data.stage import Outcome, progress
+from bask_data.stages.recordings import is_current, published, refuse_other_scope, scratches, undone_if_new, up_to_date
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     import numpy as np
 
     from bask_data.sim.rendering import Renderer
@@ -100,26 +97,24 @@ def simulate(
         UsageError: nothing is asked for, a name that means nothing, or objects that find no room.
     """
     jobs = _jobs(options, n_scans, n_demonstrations, only)
-    is_current = _looked_at(root, jobs, force)
-    is_new = not root.exists()
+    fix = "choose another dataset, or pass --force."
+    for job in jobs:
+        refuse_other_scope(root, job.makes, job.item)
+    current = {job.item for job in jobs if not force and is_current(root, job.makes, job.item, job.key, fix)}
     outcomes, n_failed = [], 0
-    studio = _Studio(options)
-    try:
+    with undone_if_new(root), _Studio(options) as studio:
         dataset = Dataset.open_or_create(root)
         dataset.recover()
         for job in jobs:
-            if job.item in is_current:
-                outcomes.append(_up_to_date(dataset, job))
+            if job.item not in current:
+                made, n_retries = _record(dataset, job, studio)
+                outcomes += made
+                n_failed += n_retries
                 continue
-            made, n_retries = _record(dataset, job, studio)
-            outcomes += made
-            n_failed += n_retries
-    except BaseException:
-        if is_new and not ((root / DATASET).exists() and Dataset(root).items("recording")):
-            shutil.rmtree(root, ignore_errors=True)
-        raise
-    finally:
-        studio.close()
+            # A kill between publishing and listing leaves a recording that no command would look at.
+            if job.item not in dataset.items(job.makes.scope):
+                _enter(dataset, job)
+            outcomes.append(up_to_date(root, job.makes, job.item))
     return outcomes, n_failed
 
 
@@ -139,46 +134,6 @@ def _jobs(options: SimOptions, n_scans: int, n_demonstrations: int, only: Sequen
             )
         jobs.append(Job(Scan if found[1] == "scan" else Demonstration, int(found[2]), options))
     return jobs
-
-
-def _looked_at(root: Path, jobs: list[Job], force: bool) -> set[str]:
-    """The recordings that are there already, just as asked for."""
-    if not (root / DATASET).exists():
-        return set()
-    dataset, current = Dataset(root), set()
-    for job in jobs:
-        other = "demonstration" if job.makes is Scan else "scene"
-        if job.item in dataset.items(other):
-            raise UsageError(root / DATASET, job.item, expected="a new name", got=f"the name of a {other}")
-        target = dataset.path(job.makes, job.item)
-        if force or not target.exists():
-            continue
-        if read_manifest(target).key != job.key:
-            raise WouldOverwrite(
-                target,
-                "",
-                expected="no recording of that name",
-                got="one from another source or with other options",
-                fix="choose another dataset or task, or pass --force.",
-            )
-        current.add(job.item)
-    return current
-
-
-def _up_to_date(dataset: Dataset, job: Job) -> Outcome:
-    # A kill between publishing and listing leaves a recording that no command would look at.
-    if job.item not in dataset.items(job.makes.scope):
-        _enter(dataset, job)
-    target = dataset.path(job.makes, job.item)
-    return Outcome(
-        f"ingest {job.makes.kind} {job.item}",
-        job.makes.kind,
-        job.item,
-        "main",
-        str(target),
-        "up to date",
-        digest=read_manifest(target).digest,
-    )
 
 
 def _enter(dataset: Dataset, job: Job) -> None:
@@ -204,51 +159,33 @@ class _Studio:
 
         return Renderer(self.world)
 
-    def close(self) -> None:
+    def __enter__(self) -> _Studio:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         if "renderer" in self.__dict__:
             self.renderer.close()
 
 
 def _record(dataset: Dataset, job: Job, studio: _Studio) -> tuple[list[Outcome], int]:
-    """Simulate one recording, draw it, and publish truth first, so that no recording is ever without it."""
+    """Simulate one recording, draw it, publish and list it."""
     begun = time.perf_counter()
     take, n_failed = _take(job, studio)
-    outcomes = []
-    with _scratches(dataset, Truth, job.makes) as scratches:
-        _write(scratches[job.makes], scratches[Truth], job, take, studio)
-        for artifact, scratch in scratches.items():
-            target = dataset.path(artifact, job.item)
-            manifest = seal(
-                scratch,
-                artifact=artifact,
-                stage=f"ingest {FORMAT}",
-                stage_version=SIMULATE_VERSION,
-                params=job.params,
-                inputs={},
-                key=job.key,
-            )
-            publish(scratch, target)
-            record(dataset.root, target, begun, job.key)
-            seconds = time.perf_counter() - begun
-            label = f"ingest {artifact.kind} {job.item}"
-            outcomes.append(
-                Outcome(label, artifact.kind, job.item, "main", str(target), "made", "", seconds, manifest.digest)
-            )
+    with scratches(dataset, [Truth, job.makes]) as written:
+        _write(written[job.makes], written[Truth], job, take, studio)
+        outcomes = published(
+            dataset,
+            job.item,
+            written,
+            begun,
+            format=FORMAT,
+            version=SIMULATE_VERSION,
+            params=job.params,
+            inputs={},
+            key=job.key,
+        )
     _enter(dataset, job)
-    return outcomes[::-1], n_failed
-
-
-@contextmanager
-def _scratches(dataset: Dataset, *artifacts: type[Artifact]) -> Iterator[dict[type[Artifact], Path]]:
-    scratches = {}
-    try:
-        for artifact in artifacts:
-            dataset.prepare(artifact)
-            scratches[artifact] = new_scratch(dataset.root, artifact.kind)
-        yield scratches
-    finally:
-        for scratch in scratches.values():
-            shutil.rmtree(scratch, ignore_errors=True)
+    return outcomes, n_failed
 
 
 def _take(job: Job, studio: _Studio) -> tuple[Take, int]:

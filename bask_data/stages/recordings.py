@@ -1,0 +1,113 @@
+"""How a recording comes into a dataset, whoever made it: looked at first, written aside, truth before recording."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from bask_data.artifact import Artifact, new_scratch, publish, read_manifest, seal
+from bask_data.dataset import DATASET, Dataset
+from bask_data.errors import UsageError, WouldOverwrite
+from bask_data.kinds import Recording, Scan
+from bask_data.stage import Outcome, record
+
+
+def refuse_other_scope(root: Path, makes: type[Recording], item: str, fix: str = "") -> None:
+    """A name stands for a scan or a demonstration, never for both; `UsageError`."""
+    other = "demonstration" if makes is Scan else "scene"
+    if (root / DATASET).exists() and item in Dataset(root).items(other):
+        raise UsageError(root / DATASET, item, expected="a new name", got=f"the name of a {other}", fix=fix)
+
+
+def is_current(root: Path, makes: type[Recording], item: str, key: str, fix: str) -> bool:
+    """Whether the recording is there already, just as asked for.
+
+    Raises:
+        WouldOverwrite: it is there with other content.
+    """
+    target = root / makes.kind / item
+    if not target.exists():
+        return False
+    if read_manifest(target).key != key:
+        raise WouldOverwrite(
+            target,
+            "",
+            expected="no recording of that name",
+            got="one from another source or with other options",
+            fix=fix,
+        )
+    return True
+
+
+def up_to_date(root: Path, makes: type[Recording], item: str) -> Outcome:
+    """The outcome for a recording that is there already."""
+    target = root / makes.kind / item
+    digest = read_manifest(target).digest
+    return Outcome(f"ingest {makes.kind} {item}", makes.kind, item, "main", str(target), "up to date", digest=digest)
+
+
+@contextmanager
+def undone_if_new(root: Path) -> Iterator[None]:
+    """Leave no new dataset behind when what should have filled it fails."""
+    is_new = not root.exists()
+    try:
+        yield
+    except BaseException:
+        # Another process may have ingested into the same new directory meanwhile.
+        if is_new and not ((root / DATASET).exists() and Dataset(root).items("recording")):
+            shutil.rmtree(root, ignore_errors=True)
+        raise
+
+
+@contextmanager
+def scratches(dataset: Dataset, artifacts: Sequence[type[Artifact]]) -> Iterator[dict[type[Artifact], Path]]:
+    """A folder to write in for each artifact, gone at the end."""
+    made: dict[type[Artifact], Path] = {}
+    try:
+        for artifact in artifacts:
+            dataset.prepare(artifact)
+            made[artifact] = new_scratch(dataset.root, artifact.kind)
+        yield made
+    finally:
+        for scratch in made.values():
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
+def published(
+    dataset: Dataset,
+    item: str,
+    written: dict[type[Artifact], Path],
+    begun: float,
+    *,
+    format: str,
+    version: int,
+    params: dict[str, Any],
+    inputs: dict[str, str],
+    key: str,
+) -> list[Outcome]:
+    """Seal and publish artifacts in their order; the outcomes name the last one first.
+
+    Truth goes first, so that no kill leaves a recording that has lost its own.
+    """
+    outcomes = []
+    for artifact, scratch in written.items():
+        target = dataset.path(artifact, item)
+        manifest = seal(
+            scratch,
+            artifact=artifact,
+            stage=f"ingest {format}",
+            stage_version=version,
+            params=params,
+            inputs=inputs,
+            key=key,
+        )
+        publish(scratch, target)
+        record(dataset.root, target, begun, key)
+        seconds = time.perf_counter() - begun
+        label = f"ingest {artifact.kind} {item}"
+        outcomes.append(Outcome(label, artifact.kind, item, "main", str(target), "made", "", seconds, manifest.digest))
+    return outcomes[::-1]
