@@ -12,7 +12,7 @@ from bask_data.sim import gripper
 from bask_data.sim.engine import import_mujoco
 from bask_data.sim.scan import free_joint, quat_wxyz
 from bask_data.sim.take import Robot, Take
-from bask_data.sim.world import STEP, World
+from bask_data.sim.world import STEP, Layout, World
 
 CONTROL_RATE = 20.0
 """Frames and commands a second."""
@@ -106,12 +106,12 @@ class Operator:
         if not keep:
             self.width = before
 
-    def take(self, layout: object, touching: list[list[int]]) -> Take:
+    def take(self, layout: Layout, touching: list[tuple[int, int]]) -> Take:
         """What happened, the last frame without a command."""
         self._keep_frame(self.target, self.width)
         robot = Robot(np.stack(self._grippers), np.array(self._widths), np.stack(self._actions), ACTION_NAMES)
         return Take(
-            layout=layout,  # type: ignore[arg-type]
+            layout=layout,
             qpos=np.stack(self._qpos),
             time=np.arange(len(self._qpos)) / CONTROL_RATE,
             world_from_objects=np.stack(self._objects),

@@ -11,6 +11,7 @@ from bask_data.params import Params
 TaskName = Literal["microwave", "lid", "phone", "rubbish"]
 TASKS: tuple[TaskName, ...] = get_args(TaskName)
 CameraName = Literal["wrist", "overhead"]
+CAMERAS: tuple[CameraName, ...] = get_args(CameraName)
 MAX_CLUTTER = 12
 
 

@@ -34,6 +34,6 @@ class Take:
     qpos: Float[ndarray, "t q"]
     time: Float[ndarray, " t"]
     world_from_objects: Float[ndarray, "t k 4 4"]
-    touching: list[list[int]]
+    touching: list[tuple[int, int]]
     shows_gripper: bool
     robot: Robot | None = None

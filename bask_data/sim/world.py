@@ -103,11 +103,11 @@ class World:
         """Which geoms belong to an object, rather than to table or gripper."""
         return (self.geom_labels > 0) & (self.geom_labels != gripper.LABEL)
 
-    def touching(self) -> list[list[int]]:
+    def touching(self) -> list[tuple[int, int]]:
         """Pairs of labels whose bodies are in touch, or nearer than can be seen."""
         labels = sorted(self.labels.values())
         return [
-            [a, b]
+            (a, b)
             for i, a in enumerate(labels)
             for b in labels[i + 1 :]
             if self.distance(self._geoms_of_label(a), self._geoms_of_label(b), TOUCHING) < TOUCHING

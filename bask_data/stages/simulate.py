@@ -14,12 +14,14 @@ from bask_data.artifact import digest_of
 from bask_data.dataset import Dataset, Source
 from bask_data.errors import UsageError
 from bask_data.kinds import Demonstration, Robot, Scan, Truth
-from bask_data.sim.options import TASKS, SimOptions
+from bask_data.kinds.truth import TruthMetadata, TruthWriter
+from bask_data.sim.options import CAMERAS, TASKS, CameraName, SimOptions
 from bask_data.stage import Outcome, progress
 from bask_data.stages.recordings import is_current, published, refuse_other_scope, scratches, undone_if_new, up_to_date
 
 if TYPE_CHECKING:
     import numpy as np
+    import zarr
 
     from bask_data.sim.rendering import Renderer
     from bask_data.sim.take import Take
@@ -212,58 +214,60 @@ def _take(job: Job, studio: _Studio) -> tuple[Take, int]:
 
 def _write(out: Path, out_truth: Path, job: Job, take: Take, studio: _Studio) -> None:
     """Draw every camera's frames once, into the recording with defects and into the truth without."""
-    import numpy as np
-
-    from bask_data.kinds.truth import TruthMetadata
-    from bask_data.sim.defects import DEPTH_SCALE, measured, noisy_poses, stored
-
-    world, renderer, options = studio.world, studio.renderer, job.options
-    labels = list(world.labels.values())
-    is_static = job.makes is Scan
-    metadata = TruthMetadata(
-        label_names=world.label_names,
-        world_from_object=dict(zip(labels, take.world_from_objects[0].tolist(), strict=True)) if is_static else {},
-        pose_error=dict.fromkeys(labels, 0.0) if is_static else {},
-        object_labels=labels,
-        touching=[(a, b) for a, b in take.touching],
-    )
+    world, options = studio.world, job.options
     assumptions = {"source": f"simulated: {options.task}, seed {options.seed}", "defects": _defects(options)}
     arguments: dict[str, Any] = {} if take.robot is None else {"action_names": take.robot.action_names}
     group = job.makes.start(out, FORMAT, assumptions, **arguments)
     world.restore(take.layout)
-    renderer.shows_gripper = take.shows_gripper
-    with Truth.writer(out_truth, metadata, take.world_from_objects) as truth:
-        for i_camera, name in enumerate(options.cameras):
-            size, K, n_frames = options.size(name), renderer.K(name), len(take.qpos)
-            exact = truth.camera(name, n_frames, size, DEPTH_SCALE)
-            world_from_cameras = _poses(world, renderer, name, take)
-
-            def read(i_frame: int, name: str = name, i_camera: int = i_camera, exact: Any = exact) -> Any:
-                world.show(take.qpos[i_frame])
-                view = renderer.view(name)
-                exact.append(view.instance, stored(view.depth), view.world_from_camera)
-                rng = np.random.default_rng([*job.seed(), 100 + i_camera, i_frame])
-                return view.rgb, stored(measured(view, renderer.K(name), options, rng))
-
-            job.makes.write_camera(
-                group,
-                name,
-                K=K,
-                world_from_cameras=noisy_poses(
-                    world_from_cameras,
-                    options.pose_noise,
-                    name == "overhead",
-                    np.random.default_rng([*job.seed(), 50 + i_camera]),
-                ),
-                time=take.time,
-                depth_scale=DEPTH_SCALE,
-                size=size,
-                read=read,
-                frames=lambda frames, name=name: progress(frames, f"{job.item}: drawing {name}"),  # type: ignore[misc]
-            )
+    studio.renderer.shows_gripper = take.shows_gripper
+    with Truth.writer(out_truth, _truth_metadata(job, take, world), take.world_from_objects) as truth:
+        for name in options.cameras:
+            _write_camera(group, truth, name, job, take, studio)
     if take.robot is not None:
         robot = take.robot
         Demonstration.write_robot(out, group, Robot(robot.world_from_gripper, robot.gripper_width, robot.action))
+
+
+def _truth_metadata(job: Job, take: Take, world: World) -> TruthMetadata:
+    labels = list(world.labels.values())
+    metadata = TruthMetadata(label_names=world.label_names, object_labels=labels, touching=take.touching)
+    if job.makes is Demonstration:
+        return metadata
+    poses = dict(zip(labels, take.world_from_objects[0].tolist(), strict=True))
+    return metadata.model_copy(update={"world_from_object": poses, "pose_error": dict.fromkeys(labels, 0.0)})
+
+
+def _write_camera(
+    group: zarr.Group, truth: TruthWriter, name: CameraName, job: Job, take: Take, studio: _Studio
+) -> None:
+    import numpy as np
+
+    from bask_data.sim.defects import DEPTH_SCALE, measured, noisy_poses, stored
+
+    world, renderer, options = studio.world, studio.renderer, job.options
+    size, K, seed = options.size(name), renderer.K(name), [*job.seed(), 50 + CAMERAS.index(name)]
+    exact = truth.camera(name, len(take.qpos), size, DEPTH_SCALE)
+
+    def read(i_frame: int) -> tuple[np.ndarray, np.ndarray]:
+        world.show(take.qpos[i_frame])
+        view = renderer.view(name)
+        exact.append(view.instance, stored(view.depth), view.world_from_camera)
+        return view.rgb, stored(measured(view, K, options, np.random.default_rng([*seed, i_frame])))
+
+    world_from_cameras = noisy_poses(
+        _poses(world, renderer, name, take), options.pose_noise, name == "overhead", np.random.default_rng([*seed])
+    )
+    job.makes.write_camera(
+        group,
+        name,
+        K=K,
+        world_from_cameras=world_from_cameras,
+        time=take.time,
+        depth_scale=DEPTH_SCALE,
+        size=size,
+        read=read,
+        frames=lambda frames: progress(frames, f"{job.item}: drawing {name}"),
+    )
 
 
 def _poses(world: World, renderer: Renderer, camera: str, take: Take) -> np.ndarray:

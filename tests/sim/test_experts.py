@@ -45,7 +45,7 @@ def test_phone_lies_in_its_cradle() -> None:
     base_from_phone = invert_rigid(world.world_from_body("base")) @ world.world_from_body("phone")
     assert np.abs(base_from_phone[:2, 3]).max() < 0.012
     assert base_from_phone[2, 3] == pytest.approx(world.dimensions["top"], abs=0.004)
-    assert world.touching() == [[1, 2]]
+    assert world.touching() == [(1, 2)]
 
 
 def test_rubbish_is_in_the_bin_and_what_is_none_stays() -> None:

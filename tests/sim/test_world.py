@@ -9,7 +9,7 @@ from bask_data.sim.options import MAX_CLUTTER, TASKS, SimOptions, TaskName
 from bask_data.sim.world import GAP, TABLE, World
 from tests.sim.worlds import world_of
 
-TOUCHING: dict[TaskName, list[list[int]]] = {"microwave": [[1, 2]], "lid": [[1, 2]], "phone": [], "rubbish": []}
+TOUCHING: dict[TaskName, list[tuple[int, int]]] = {"microwave": [(1, 2)], "lid": [(1, 2)], "phone": [], "rubbish": []}
 
 
 @pytest.mark.parametrize("task", TASKS)
