@@ -67,6 +67,5 @@ def publish_mesh(dataset: Dataset, item: str, vertices: np.ndarray, triangles: n
             colors=np.zeros(vertices.shape, np.uint8),
             voxel_size=0.004,
             bounds=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0),
-            quality={},
         ),
     )

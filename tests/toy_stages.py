@@ -35,7 +35,6 @@ def fuse(scan: Scan, params: FuseParams, out: Path) -> None:
         colors=np.zeros((3 * n_frames, 3), dtype=np.uint8),
         voxel_size=params.voxel_size,
         bounds=(0, 0, 0, 1, 1, 1),
-        quality={},
     )
 
 

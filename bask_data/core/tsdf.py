@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ import open3d as o3d
 from jaxtyping import Bool, Float, Float32, Int, Int32, UInt8
 from numpy import ndarray
 
-from bask_data.core.geometry import invert_rigid, rigid_fault, transform, unproject, view_change
+from bask_data.core.geometry import invert_rigid, rigid_fault, view_change
 
 BLOCK_RESOLUTION = 8
 """Voxels along the edge of a block; 16 fuses three times slower on a CPU and holds twice the memory."""
@@ -30,6 +30,28 @@ through lattice points extracts as twice the vertices, half of them in slivers."
 FARTHEST = 1e3
 """Metres; Open3D wants a limit although the caller has already cut the depth."""
 
+GROWTH = 1.25
+"""Room made when a volume turns out too small, as a multiple of what it needs. Open3D alone would double it."""
+
+ROOM = 1.1
+"""Blocks reserved for each that is expected: a tenth more memory against a pause in which old and new both exist."""
+
+EXTRACTION_BYTES = 10_000
+"""Held per block while the mesh is extracted: Open3D's index of the vertices on a block's edges, 16 bytes a voxel, and
+the vertices. Measured: 8 to 10 kB."""
+
+
+class VolumeTooLarge(Exception):
+    """More voxel blocks are needed than are allowed.
+
+    Args:
+        n_needed: blocks.
+    """
+
+    def __init__(self, n_needed: int) -> None:
+        super().__init__(f"{n_needed} voxel blocks")
+        self.n_needed = n_needed
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -48,8 +70,9 @@ class Volume:
         voxel_size: edge of a voxel, metres.
         truncation_voxels: distance on both sides of a surface that is kept, in voxels.
         bounds: (2, 3) lowest and highest corner of the workspace, world frame, metres; None for no limit.
-        n_blocks: voxel blocks expected (`expected_blocks`). More than that are possible at the price of a pause to
-            re-hash.
+        n_blocks: voxel blocks to make room for (`expected_blocks`). When more are needed the volume grows, which
+            takes seconds and for a moment the memory of the old and the new one.
+        max_blocks: most blocks it may grow to; None for no limit.
 
     Raises:
         ValueError: a size is not positive, or the bounds enclose nothing.
@@ -61,6 +84,7 @@ class Volume:
         truncation_voxels: float = 5.0,
         bounds: Float[ndarray, "2 3"] | None = None,
         n_blocks: int = 10_000,
+        max_blocks: int | None = None,
     ) -> None:
         if not voxel_size > 0:
             raise ValueError(f"voxel_size: expected > 0 metres, got {voxel_size}")
@@ -72,17 +96,9 @@ class Volume:
         self.truncation_voxels = truncation_voxels
         self.bounds = bounds
         self.n_integrated = 0
-        float32 = o3d.core.float32
-        self._grid = o3d.t.geometry.VoxelBlockGrid(
-            ("tsdf", "weight", "color"),
-            (float32, float32, float32),
-            [o3d.core.SizeVector([n_channels]) for n_channels in (1, 1, 3)],
-            voxel_size,
-            BLOCK_RESOLUTION,
-            n_blocks,
-        )
-        self._world_from_grid = np.eye(4)
-        self._world_from_grid[:3, 3] = HALF_VOXEL * voxel_size
+        self.n_grown = 0
+        self.max_blocks = max_blocks
+        self._grid = _grid(voxel_size, n_blocks)
 
     @property
     def n_blocks(self) -> int:
@@ -105,32 +121,26 @@ class Volume:
             ValueError: the transform is not rigid, or the images differ in size. Open3D would take either without a
                 word.
         """
-        if fault := rigid_fault(world_from_camera):
-            raise ValueError(f"world_from_camera: expected a rigid transform, got {fault}")
         if depth.shape != rgb.shape[:2]:
             raise ValueError(f"rgb: expected the size of the depth image {depth.shape}, got {rgb.shape[:2]}")
-        from_numpy = o3d.core.Tensor.from_numpy
-        if not (depth > 0).any():  # Open3D aborts the process here.
+        view = _View.of(depth, K, world_from_camera, self.voxel_size)
+        if view is None:
             return False
-        shift = np.array([[0, 0, HALF_PIXEL], [0, 0, HALF_PIXEL], [0, 0, 0]])
-        K_corner = from_numpy(K + shift)
-        camera_from_grid = from_numpy(invert_rigid(world_from_camera) @ self._world_from_grid)
-        depth_image = o3d.t.geometry.Image(from_numpy(np.ascontiguousarray(depth)))
+        from_numpy = o3d.core.Tensor.from_numpy
         rgb_image = o3d.t.geometry.Image(from_numpy(np.multiply(rgb, np.float32(1 / 255), dtype=np.float32)))
-        blocks = self._grid.compute_unique_block_coordinates(
-            depth_image, K_corner, camera_from_grid, 1.0, FARTHEST, self.truncation_voxels
-        )
+        blocks = view.blocks(self._grid, self.truncation_voxels)
         if self.bounds is not None:
-            blocks = blocks[from_numpy(self._inside(blocks.numpy()))]
+            blocks = blocks[from_numpy(blocks_inside(blocks.numpy(), self.voxel_size, self.bounds))]
         if blocks.shape[0] == 0:
             return False
+        self._make_room(blocks)
         self._grid.integrate(
             blocks,
-            depth_image,
+            view.depth,
             rgb_image,
-            K_corner,
-            K_corner,
-            camera_from_grid,
+            view.K,
+            view.K,
+            view.camera_from_grid,
             1.0,
             FARTHEST,
             self.truncation_voxels,
@@ -138,27 +148,41 @@ class Volume:
         self.n_integrated += 1
         return True
 
-    def _inside(self, blocks: Int32[ndarray, "n 3"]) -> Bool[ndarray, "n"]:
-        """Blocks that share some volume with the bounds, and one voxel around them, which the surface at the bounds
-        is made from."""
-        assert self.bounds is not None
-        lowest = (blocks * BLOCK_RESOLUTION + HALF_VOXEL) * self.voxel_size
-        highest = lowest + BLOCK_RESOLUTION * self.voxel_size
-        margin = self.voxel_size
-        return ((highest > self.bounds[0] - margin) & (lowest < self.bounds[1] + margin)).all(axis=1)
+    def _make_room(self, blocks: o3d.core.Tensor) -> None:
+        """Grow before Open3D would: it doubles the table, whatever the memory."""
+        table = self._grid.hashmap()
+        n_most = table.capacity() if self.max_blocks is None else min(table.capacity(), self.max_blocks)
+        if table.size() + blocks.shape[0] <= n_most:
+            return
+        n_needed = int(table.size() + np.count_nonzero(~table.find(blocks)[1].numpy()))
+        if self.max_blocks is not None and n_needed > self.max_blocks:
+            raise VolumeTooLarge(n_needed)
+        if n_needed <= table.capacity():
+            return
+        n_room = int(np.ceil(n_needed * GROWTH))
+        table.reserve(n_room if self.max_blocks is None else min(n_room, self.max_blocks))
+        self.n_grown += 1
 
-    def mesh(self, min_views: int = 3) -> Mesh:
+    def views_needed(self, min_views: int, least_views: int = 1) -> int:
+        """Frames that must have measured a voxel for it to be surface; see `mesh`."""
+        return min(max(min_views, least_views), max(least_views, self.n_integrated // 10))
+
+    def mesh(self, min_views: int = 3, least_views: int = 1, release: bool = False) -> Mesh:
         """The surface, cut to the bounds. Empty when nothing was fused.
 
         Args:
-            min_views: frames that must have measured a voxel. Never more than a tenth of the frames fused, so that
-                few views give a surface.
+            min_views: frames that must have measured a voxel, where there are ten times as many; of fewer frames a
+                tenth must, so that few views give a surface.
+            least_views: and never fewer than this. What a single frame with a wrong pose shows needs 2 to be gone.
+            release: empty the volume as soon as the surface is out of it, to hold no more memory than needed.
         """
         if self.n_blocks == 0:
             return canonical(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 3)))
-        needed = min(min_views, max(1, self.n_integrated // 10))
+        needed = self.views_needed(min_views, least_views)
         # Open3D keeps voxels whose weight is strictly above the threshold.
         extracted = self._grid.extract_triangle_mesh(needed - 0.5).cpu()
+        if release:
+            self._grid = _grid(self.voxel_size, 1)
         if "positions" not in extracted.vertex or len(extracted.vertex.positions) == 0:
             return canonical(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 3)))
         vertices = extracted.vertex.positions.numpy() + np.float32(HALF_VOXEL * self.voxel_size)
@@ -174,8 +198,7 @@ def canonical(vertices: Float[ndarray, "n 3"], triangles: Int[ndarray, "m 3"], c
     """The same surface in an order that depends on nothing but itself: Open3D's depends on its threads.
 
     Vertices at one place become one, triangles without area by that and vertices of no triangle go; the rest is
-    sorted, and a triangle
-    begins with its lowest vertex, its winding kept.
+    sorted, and a triangle begins with its lowest vertex, its winding kept.
 
     Args:
         colors: 0 to 1.
@@ -218,77 +241,114 @@ def distinct_views(
     return np.array(kept, dtype=np.int64)
 
 
-@dataclass(frozen=True)
-class Glimpse:
-    """What one frame measured, thinned out: enough to lay out the volume before it is filled."""
-
-    points_world: Float[ndarray, "n 3"]
-    eye_world: Float[ndarray, "3"]
-
-
-def glimpse(
+def touched_blocks(
     depth: Float32[ndarray, "h w"],
     K: Float[ndarray, "3 3"],
     world_from_camera: Float[ndarray, "4 4"],
-    n_points: int = 5000,
-) -> Glimpse:
-    """About `n_points` measured points of a frame, evenly over those it has (sensors that measure every other pixel
-    are no different)."""
-    v, u = np.nonzero(depth)
-    step = max(1, len(v) // n_points)
-    v, u = v[::step], u[::step]
-    points = unproject(np.stack([u, v], axis=-1).astype(np.float64), depth[v, u].astype(np.float64), K)
-    return Glimpse(transform(world_from_camera, points), world_from_camera[:3, 3])
-
-
-def estimated_workspace(
-    glimpses: Iterable[Glimpse], cell: float = 0.05, min_share: float = 0.2, margin: float = 0.02
-) -> Float[ndarray, "2 3"] | None:
-    """The box around what the frames agree on; None when they measured nothing.
-
-    Space is cut into cells; a cell counts when at least two frames and `min_share` of all frames measured a point in
-    it, so that a glance at
-    a far wall does not. The box holds 99 % of the points in such cells on every axis. When no cells are shared, all
-    points count.
-
-    Args:
-        cell: edge of a cell, metres.
-        margin: metres added on each side.
-    """
-    clouds = [one.points_world for one in glimpses if len(one.points_world)]
-    if not clouds:
-        return None
-    points = np.concatenate(clouds)
-    cells, i_cell = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_inverse=True)
-    i_cell = i_cell.reshape(-1)
-    i_frame = np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds])
-    n_frames = np.bincount(np.unique(i_cell * len(clouds) + i_frame) // len(clouds), minlength=len(cells))
-    shared = n_frames >= min(len(clouds), max(2, int(np.ceil(min_share * len(clouds)))))
-    agreed = points[shared[i_cell]] if shared.any() else points
-    lowest, highest = np.percentile(agreed, [0.5, 99.5], axis=0)
-    return np.stack([lowest - margin, highest + margin])
-
-
-def expected_blocks(
-    glimpses: Iterable[Glimpse],
     voxel_size: float,
     truncation_voxels: float = 5.0,
-    bounds: Float[ndarray, "2 3"] | None = None,
-) -> int:
-    """Voxel blocks the surface will need, with room to spare: re-hashing a full table stops everything for seconds.
+) -> Int32[ndarray, "n 3"]:
+    """The voxel blocks that fusing a frame would fill, without fusing it."""
+    view = _View.of(depth, K, world_from_camera, voxel_size)
+    if view is None:
+        return np.zeros((0, 3), np.int32)
+    return view.blocks(_grid(voxel_size, 1), truncation_voxels).numpy()
 
-    Counts the blocks within the truncation distance along the rays of the points, and adds half for what was not
-    sampled.
+
+def blocks_inside(
+    blocks: Int32[ndarray, "n 3"], voxel_size: float, bounds: Float[ndarray, "2 3"]
+) -> Bool[ndarray, "n"]:
+    """Blocks that share some volume with the bounds, and one voxel around them, which the surface at the bounds is
+    made from."""
+    lowest = (blocks * BLOCK_RESOLUTION + HALF_VOXEL) * voxel_size
+    highest = lowest + BLOCK_RESOLUTION * voxel_size
+    return ((highest > bounds[0] - voxel_size) & (lowest < bounds[1] + voxel_size)).all(axis=1)
+
+
+def expected_blocks(touched: Sequence[Int32[ndarray, "_ 3"]], n_frames: int) -> int:
+    """Voxel blocks that `n_frames` frames will fill, estimated from those that some of them touch.
+
+    Where every frame was looked at it is their number. The others add what the looked-at ones seldom saw: many blocks
+    seen once and few seen twice mean that many were not seen at all.
+
+    Args:
+        touched: blocks of each frame looked at (`touched_blocks`), inside the bounds.
+
+    Source: Chao et al. 2014, Ecological Monographs 84(1), extrapolation of incidence data from the Chao2 estimate.
     """
-    edge = BLOCK_RESOLUTION * voxel_size
-    touched = []
-    for one in glimpses:
-        rays = one.points_world - one.eye_world
-        rays = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-9)
-        reach = truncation_voxels * voxel_size
-        points = np.concatenate([one.points_world + step * reach * rays for step in (-1.0, 0.0, 1.0)])
-        if bounds is not None:
-            points = points[((points > bounds[0] - edge) & (points < bounds[1] + edge)).all(axis=1)]
-        touched.append(np.unique(np.floor(points / edge).astype(np.int64), axis=0))
-    n_touched = len(np.unique(np.concatenate(touched), axis=0)) if touched else 0
-    return 1000 + n_touched * 3 // 2
+    if not touched:
+        return 0
+    _, n_seen = np.unique(np.concatenate(touched), axis=0, return_counts=True)
+    m, q1, q2 = len(touched), int((n_seen == 1).sum()), int((n_seen == 2).sum())
+    if q1 == 0 or m >= n_frames:
+        return len(n_seen)
+    q0 = (m - 1) / m * (q1**2 / (2 * q2) if q2 else q1 * (q1 - 1) / 2)
+    if q0 == 0:
+        return len(n_seen)
+    return int(np.ceil(len(n_seen) + q0 * (1 - (1 - q1 / (m * q0 + q1)) ** (n_frames - m))))
+
+
+def coarsening(blocks: Int32[ndarray, "n 3"], factor: float, truncation_voxels: float = 5.0) -> float:
+    """Blocks that voxels `factor` times as large would need, as a share of these.
+
+    Large blocks that hold these, and more of them, because the layer along the surface gets thicker with its voxels.
+    """
+    if len(blocks) == 0:
+        return 1.0
+    n_holding = len(np.unique(np.floor(blocks / factor).astype(np.int32), axis=0))
+    thickness = 2 * truncation_voxels / BLOCK_RESOLUTION
+    return n_holding / len(blocks) * (1 + thickness) / (1 + thickness / factor)
+
+
+def peak_bytes(n_blocks: int) -> int:
+    """Memory that a volume of so many blocks takes at most, mesh extraction included."""
+    return int(n_blocks * (ROOM * BLOCK_BYTES + EXTRACTION_BYTES))
+
+
+@dataclass(frozen=True)
+class _View:
+    """A frame as Open3D wants it."""
+
+    depth: o3d.t.geometry.Image
+    K: o3d.core.Tensor
+    camera_from_grid: o3d.core.Tensor
+
+    @staticmethod
+    def of(
+        depth: Float32[ndarray, "h w"],
+        K: Float[ndarray, "3 3"],
+        world_from_camera: Float[ndarray, "4 4"],
+        voxel_size: float,
+    ) -> _View | None:
+        """None for a frame without any measurement, on which Open3D aborts the process."""
+        if fault := rigid_fault(world_from_camera):
+            raise ValueError(f"world_from_camera: expected a rigid transform, got {fault}")
+        if not (depth > 0).any():
+            return None
+        from_numpy = o3d.core.Tensor.from_numpy
+        shift = np.array([[0, 0, HALF_PIXEL], [0, 0, HALF_PIXEL], [0, 0, 0]])
+        world_from_grid = np.eye(4)
+        world_from_grid[:3, 3] = HALF_VOXEL * voxel_size
+        return _View(
+            o3d.t.geometry.Image(from_numpy(np.ascontiguousarray(depth))),
+            from_numpy(K + shift),
+            from_numpy(invert_rigid(world_from_camera) @ world_from_grid),
+        )
+
+    def blocks(self, grid: o3d.t.geometry.VoxelBlockGrid, truncation_voxels: float) -> o3d.core.Tensor:
+        """Coordinates of the blocks near the measured surface, in a grid of any content."""
+        return grid.compute_unique_block_coordinates(
+            self.depth, self.K, self.camera_from_grid, 1.0, FARTHEST, truncation_voxels
+        )
+
+
+def _grid(voxel_size: float, n_blocks: int) -> o3d.t.geometry.VoxelBlockGrid:
+    float32 = o3d.core.float32
+    return o3d.t.geometry.VoxelBlockGrid(
+        ("tsdf", "weight", "color"),
+        (float32, float32, float32),
+        [o3d.core.SizeVector([n_channels]) for n_channels in (1, 1, 3)],
+        voxel_size,
+        BLOCK_RESOLUTION,
+        n_blocks,
+    )

@@ -2,16 +2,93 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from bask_data.artifact import ArraySpec, Artifact, Metadata
+from bask_data.artifact import ArraySpec, Artifact, Metadata, TableSpec
 from bask_data.errors import BadData
 from bask_data.kinds.arrays import read_all, start, write_array
+from bask_data.kinds.tables import read_table, write_table
 
 if TYPE_CHECKING:
     import numpy as np
+    import pyarrow as pa
+
+
+class FrameRow(Metadata):
+    """One frame of the scan: what became of it, and how the mesh explains what it measured.
+
+    Args:
+        fused: it is part of the mesh.
+        suspect: the mesh explains it far worse than the other frames.
+        valid_depth: share of its pixels with a measurement within the range fused.
+        n_judged: rays of it that were held against the mesh.
+        explained: share of those whose measurement lies on the mesh.
+        residual: median of measured minus mesh depth, metres.
+        residual_abs: median of its magnitude, metres.
+        from_behind: share of its rays onto the mesh that meet the back of a surface.
+    """
+
+    camera: str
+    frame: int
+    fused: bool
+    suspect: bool = False
+    valid_depth: float
+    n_judged: int
+    explained: float
+    residual: float
+    residual_abs: float
+    from_behind: float
+
+
+class UnmeasuredRegion(Metadata):
+    """A place that many cameras looked at from many sides without a measurement: transparent, shiny or black.
+
+    Args:
+        centre: of its box along the world's axes, metres.
+        size: of that box, metres.
+        volume: cubic metres.
+    """
+
+    centre: tuple[float, float, float]
+    size: tuple[float, float, float]
+    volume: float
+
+
+class Quality(Metadata):
+    """Figures of the fusion. Lengths are metres; None where nothing could be compared.
+
+    Args:
+        frames: in the scan.
+        frames_excluded: left out by name.
+        frames_of_distinct_views: left after thinning.
+        frames_fused: of those, the ones that are part of the mesh.
+        frames_without_depth: those without any measurement within the range.
+        frames_without_depth_in_the_workspace: those that measured something, but elsewhere; and those without depth.
+        frames_suspect: frames that the mesh explains far worse than the others, left out of it or not.
+        workspace: whether the box was given or estimated.
+        voxel_blocks: size of the volume.
+        explained: share of what was measured in the workspace that lies on the mesh.
+        residual: median over the frames of measured minus mesh depth.
+        residual_abs: median over the frames of its magnitude.
+        seen_from_behind: share of the surface seen that no camera saw from the front.
+    """
+
+    frames: int = 0
+    frames_excluded: int = 0
+    frames_of_distinct_views: int = 0
+    frames_fused: int = 0
+    frames_without_depth: int = 0
+    frames_without_depth_in_the_workspace: int = 0
+    frames_suspect: int = 0
+    workspace: Literal["given", "estimated"] = "estimated"
+    voxel_blocks: int = 0
+    explained: float | None = None
+    residual: float | None = None
+    residual_abs: float | None = None
+    seen_from_behind: float | None = None
 
 
 class ReconstructionMetadata(Metadata):
@@ -20,12 +97,15 @@ class ReconstructionMetadata(Metadata):
     Args:
         voxel_size: metres.
         bounds: the workspace box (x_min, y_min, z_min, x_max, y_max, z_max), metres, world frame; given or estimated.
-        quality: figures of the fusion by name, as the stage documents them.
+        unmeasured: places where something stands that the mesh cannot hold.
+        warnings: what a person should know.
     """
 
     voxel_size: float
     bounds: tuple[float, float, float, float, float, float]
-    quality: dict[str, float | int | str | list[float] | None] = {}
+    quality: Quality = Quality()
+    unmeasured: list[UnmeasuredRegion] = []
+    warnings: list[str] = []
 
 
 class Reconstruction(Artifact):
@@ -33,11 +113,28 @@ class Reconstruction(Artifact):
 
     kind = "reconstruction"
     scope = "scene"
+    schema_version = 2
     metadata_model = ReconstructionMetadata
     arrays = {
         "vertices": ArraySpec(("n", "3"), "float32", "Positions in the world frame.", "metre"),
         "triangles": ArraySpec(("m", "3"), "int32", "Vertex indices, counter-clockwise seen from outside."),
         "colors": ArraySpec(("n", "3"), "uint8", "Colour of each vertex, red, green, blue."),
+    }
+    tables = {
+        "frames.parquet": TableSpec(
+            {
+                "camera": ("string", "camera of the frame"),
+                "frame": ("int32", "number of the frame"),
+                "fused": ("bool", "whether the frame is part of the mesh"),
+                "suspect": ("bool", "whether the mesh explains the frame far worse than the others"),
+                "valid_depth": ("float32", "share of the pixels with a measurement within the range fused"),
+                "n_judged": ("int32", "rays of the frame that were held against the mesh"),
+                "explained": ("float32", "share of those whose measurement lies on the mesh; NaN: none"),
+                "residual": ("float32", "median of measured minus mesh depth, metres; NaN: none"),
+                "residual_abs": ("float32", "median of its magnitude, metres; NaN: none"),
+                "from_behind": ("float32", "share of the rays onto the mesh that meet its back; NaN: none"),
+            }
+        )
     }
     files = {"mesh.ply": "the same mesh, binary PLY, for other tools"}
 
@@ -65,6 +162,11 @@ class Reconstruction(Artifact):
         """Metres."""
         return self.metadata.voxel_size
 
+    @cached_property
+    def frames(self) -> pa.Table:
+        """A row for each frame of the scan that was not left out: `FrameRow`."""
+        return read_table(self, "frames.parquet")
+
     @staticmethod
     def write(
         out: Path,
@@ -74,14 +176,27 @@ class Reconstruction(Artifact):
         colors: np.ndarray,
         voxel_size: float,
         bounds: tuple[float, float, float, float, float, float],
-        quality: dict[str, float | int | str | list[float] | None],
+        quality: Quality | None = None,
+        frames: Sequence[FrameRow] = (),
+        unmeasured: Sequence[UnmeasuredRegion] = (),
+        warnings: Sequence[str] = (),
     ) -> None:
-        """Write the mesh as arrays and as `mesh.ply`."""
-        group = start(out, Reconstruction, {"voxel_size": voxel_size, "bounds": bounds, "quality": quality})
+        """Write the mesh as arrays and as `mesh.ply`, and what is known of its quality."""
+        metadata = ReconstructionMetadata(
+            voxel_size=voxel_size,
+            bounds=bounds,
+            quality=quality or Quality(),
+            unmeasured=list(unmeasured),
+            warnings=list(warnings),
+        )
+        group = start(out, Reconstruction, metadata.model_dump(mode="json"))
         write_array(group, Reconstruction, "vertices", vertices)
         write_array(group, Reconstruction, "triangles", triangles)
         write_array(group, Reconstruction, "colors", colors)
         _write_ply(out / "mesh.ply", vertices, triangles, colors)
+        names = Reconstruction.tables["frames.parquet"].columns
+        columns = {name: [getattr(row, name) for row in frames] for name in names}
+        write_table(out, Reconstruction, "frames.parquet", columns)
 
 
 def _write_ply(file: Path, vertices: np.ndarray, triangles: np.ndarray, colors: np.ndarray) -> None:

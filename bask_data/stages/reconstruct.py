@@ -2,23 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+import re
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from pydantic import Field, field_validator
+from pydantic import BeforeValidator, Field, field_validator
 
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Camera, Reconstruction, Scan
+from bask_data.kinds.reconstruction import FrameRow, Quality, UnmeasuredRegion
 from bask_data.stage import Params, progress, stage
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from bask_data.core.tsdf import Glimpse
+    from bask_data.core.fit import Fit, Sketch, Surface
+    from bask_data.core.tsdf import Mesh
 
 N_SURVEYED = 24
 """Frames looked at before the fusion, to estimate the workspace and the size of the volume."""
+
+N_SEARCHED = 48
+"""Frames kept in finer sketches, to search for what no camera can measure."""
+
+SKETCH_COLUMNS, FINE_SKETCH_COLUMNS = 40, 80
+
+WORKING_BYTES = 100 * 2**20
+"""What reading and preparing one frame takes on top of the volume."""
+
+USED_SHARE = 0.8
+"""Of the memory that is free, unless `max_memory` says otherwise."""
+
+DROPPED_SHARE = 0.2
+"""Most of the frames that may be dropped as suspect: when more disagree, the recording as a whole is in doubt."""
+
+POOR = 0.6
+"""Share of the depth that lies on the mesh, below which all poses, or the scale of the depth, are in doubt."""
+
+FrameOfCamera = tuple[Camera, int]
 
 
 class ReconstructParams(Params):
@@ -42,6 +65,20 @@ class ReconstructParams(Params):
     min_angle_deg: float = Field(
         0.0, ge=0, description="Skip frames until the camera has turned so far, degrees; 0: do not."
     )
+    exclude: tuple[str, ...] = Field(
+        (),
+        description="Frames to leave out, CAMERA:FRAME or CAMERA:FIRST-LAST, separated by commas: wrist:7,wrist:20-24.",
+    )
+    drop_suspects: bool = Field(
+        True, description="Fuse again without the frames that disagree with all others, should there be a few."
+    )
+    # It decides whether there is a result, never which: so it is no part of what the result depends on.
+    max_memory: Annotated[str, BeforeValidator(str)] = Field(
+        "",
+        exclude=True,
+        pattern=r"^(\d+(\.\d+)?\s*([MG]B)?)?$",
+        description="Refuse to take more memory than this: 4GB, 800MB. Default: 80 % of what is free.",
+    )
 
     @field_validator("workspace")
     @classmethod
@@ -51,42 +88,271 @@ class ReconstructParams(Params):
         return box
 
 
-@stage(makes=Reconstruction, version=1)
+@stage(makes=Reconstruction, version=2)
 def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
     """Fuse a scan's depth images into a triangle mesh.
 
     Frames are read one after the other and none is kept. Depth outside the range and flying pixels at depth edges are
-    dropped first.
+    dropped first. Every frame is then held against the mesh.
     """
-    import numpy as np
-
-    from bask_data.core import depth, tsdf
-
     if params.near >= params.far:
         raise UsageError("reconstruct", "near", expected=f"less than far ({params.far} m)", got=f"{params.near} m")
-    frames = [
-        (camera, int(i_frame))
-        for camera in scan.cameras
-        for i_frame in tsdf.distinct_views(
-            camera.world_from_cameras, params.min_distance, float(np.deg2rad(params.min_angle_deg))
+    excluded = _excluded(scan, params)
+    frames = _frames(scan, params, excluded)
+    survey = _survey(scan, frames, params)
+    fusion = _fused(scan, frames, survey, params)
+    assessment = _assessed(frames, fusion.notes, fusion.judge, survey.bounds)
+    suspects = {(row.camera, row.frame) for row in assessment.rows if row.suspect}
+    dropped = params.drop_suspects and 0 < len(suspects) <= DROPPED_SHARE * len(frames)
+    mesh = fusion.mesh
+    if dropped:
+        good = [(camera, i_frame) for camera, i_frame in frames if (camera.name, i_frame) not in suspects]
+        mesh = _fused(scan, good, survey, params).mesh
+    # A single wrong frame among few hides the true surface, so frames are judged by a stricter mesh; what is reported
+    # of them is about the one that is kept.
+    assessment = _assessed(frames, fusion.notes, mesh, survey.bounds, suspects, dropped)
+    lowest, highest = survey.bounds.tolist()
+    Reconstruction.write(
+        out,
+        vertices=mesh.vertices,
+        triangles=mesh.triangles,
+        colors=mesh.colors,
+        voxel_size=params.voxel_size,
+        bounds=(*lowest, *highest),
+        quality=Quality(
+            frames=sum(camera.n_frames for camera in scan.cameras),
+            frames_excluded=len(excluded),
+            frames_of_distinct_views=len(frames),
+            frames_fused=sum(row.fused for row in assessment.rows),
+            frames_without_depth=sum(note.valid_depth == 0 for note in fusion.notes),
+            frames_without_depth_in_the_workspace=sum(not note.fused for note in fusion.notes),
+            frames_suspect=len(suspects),
+            workspace="estimated" if params.workspace is None else "given",
+            voxel_blocks=fusion.n_blocks,
+            explained=_median(row.explained for row in assessment.rows),
+            residual=_median(row.residual for row in assessment.rows),
+            residual_abs=_median(row.residual_abs for row in assessment.rows),
+            seen_from_behind=round(assessment.seen_from_behind, 4),
+        ),
+        frames=assessment.rows,
+        unmeasured=assessment.unmeasured,
+        warnings=_warnings(assessment, params),
+    )
+
+
+# Frames ---------------------------------------------------------------------------------------------------------------
+
+
+def _excluded(scan: Scan, params: ReconstructParams) -> set[tuple[str, int]]:
+    """Camera and number of the frames to leave out."""
+    n_frames = {camera.name: camera.n_frames for camera in scan.cameras}
+    excluded = set()
+    for text in params.exclude:
+        name, _, numbers = text.rpartition(":")
+        match = re.fullmatch(r"(\d+)(?:-(\d+))?", numbers)
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+        if not (name in n_frames and first <= last < n_frames[name]):
+            known = ", ".join(f"{camera}:0-{n - 1}" for camera, n in n_frames.items())
+            raise UsageError(
+                "reconstruct",
+                "exclude",
+                expected=f"frames of {scan.path.name}, which has {known}",
+                got=text,
+                fix="for one scan of several, pass --only or write it under reconstruct@SCENE in params.yaml.",
+            )
+        excluded |= {(name, i_frame) for i_frame in range(first, last + 1)}
+    return excluded
+
+
+def _frames(scan: Scan, params: ReconstructParams, excluded: set[tuple[str, int]]) -> list[FrameOfCamera]:
+    """The frames to fuse: of distinct views, without those left out."""
+    import numpy as np
+
+    from bask_data.core import tsdf
+
+    frames = []
+    for camera in scan.cameras:
+        kept = np.array([i for i in range(camera.n_frames) if (camera.name, i) not in excluded], dtype=np.int64)
+        distinct = tsdf.distinct_views(
+            camera.world_from_cameras[kept], params.min_distance, float(np.deg2rad(params.min_angle_deg))
         )
-    ]
-    glimpses = list(_survey(frames, params))
-    bounds = _bounds(glimpses, params)
+        frames += [(camera, int(i_frame)) for i_frame in kept[distinct]]
+    return frames
+
+
+def _spread(n: int, n_chosen: int) -> list[int]:
+    """At most `n_chosen` of n numbers, evenly spread, the first and the last among them."""
+    import numpy as np
+
+    return sorted({int(k) for k in np.linspace(0, n - 1, n_chosen).round()}) if n else []
+
+
+# Workspace and memory -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Survey:
+    """What a first look at some frames tells: the workspace (2, 3) in metres, the blocks that these frames touch, and
+    how many all will."""
+
+    bounds: np.ndarray
+    blocks: np.ndarray
+    n_blocks: int
+
+
+def _survey(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) -> _Survey:
+    """Look over frames spread evenly over the scan."""
+    import numpy as np
+
+    from bask_data.core import depth, tsdf, workspace
+
+    clouds, touched = [], []
+    for i_chosen in progress(_spread(len(frames), N_SURVEYED), "looking over the scan"):
+        camera, i_frame = frames[i_chosen]
+        measured = depth.cleaned(camera.depth(i_frame), params.near, params.far)
+        view = (measured, camera.K, camera.world_from_cameras[i_frame])
+        clouds.append(workspace.sampled_points(*view))
+        touched.append(tsdf.touched_blocks(*view, params.voxel_size, params.truncation))
+    bounds = workspace.estimated_workspace(clouds)
     if bounds is None:
         raise BadData(
             scan.path,
             "depth",
             expected=f"measurements between near {params.near} m and far {params.far} m",
-            got=f"none in {len(glimpses)} frames looked at",
+            got=f"none in {len(clouds)} frames looked at",
             fix="check the depth scale the scan was ingested with, or --near and --far.",
         )
-    n_blocks = tsdf.expected_blocks(glimpses, params.voxel_size, params.truncation, bounds)
-    volume = tsdf.Volume(params.voxel_size, params.truncation, bounds, n_blocks)
-    for camera, i_frame in progress(frames, "fusing frames"):
-        measured = depth.cleaned(camera.depth(i_frame), params.near, params.far)
-        volume.integrate(measured, camera.rgb(i_frame), camera.K, camera.world_from_cameras[i_frame])
-    mesh = volume.mesh(params.min_views)
+    if params.workspace is not None:
+        bounds = np.reshape(params.workspace, (2, 3)).astype(float)
+    inside = [blocks[tsdf.blocks_inside(blocks, params.voxel_size, bounds)] for blocks in touched]
+    return _Survey(bounds, np.unique(np.concatenate(inside), axis=0), tsdf.expected_blocks(inside, len(frames)))
+
+
+def _most_blocks(survey: _Survey, params: ReconstructParams) -> int:
+    """Voxel blocks that fit into the memory allowed; refuses when fewer than are expected."""
+    from bask_data.core import tsdf
+
+    begun, limit = _resident_bytes(), _memory_limit(params.max_memory)
+    n_blocks = max(0, int((limit - begun - WORKING_BYTES) / tsdf.peak_bytes(1)))
+    if n_blocks < survey.n_blocks:
+        raise _too_large(survey.n_blocks, begun, limit, survey, params)
+    return n_blocks
+
+
+def _too_large(n_blocks: int, begun: int, limit: int, survey: _Survey, params: ReconstructParams) -> UsageError:
+    """The refusal, and what would fit."""
+    from bask_data.core import tsdf
+
+    needed = begun + WORKING_BYTES + tsdf.peak_bytes(n_blocks)
+    remedies = [f"--max-memory {_amount(math.ceil(needed * 1.1))}"]
+    if voxel_size := _voxel_size_that_fits(n_blocks, limit - begun - WORKING_BYTES, survey, params):
+        size = " x ".join(f"{edge:.2f}" for edge in survey.bounds[1] - survey.bounds[0])
+        remedies = [f"--voxel-size {voxel_size:g}", f"a --workspace smaller than {size} m", *remedies]
+    return UsageError(
+        "reconstruct",
+        "max_memory",
+        expected=f"at most {_amount(limit)}",
+        got=f"a need of about {_amount(needed)} at voxels of {params.voxel_size * 1000:g} mm",
+        fix=", or ".join(remedies) + ".",
+    )
+
+
+def _voxel_size_that_fits(n_blocks: int, n_bytes: int, survey: _Survey, params: ReconstructParams) -> float | None:
+    """The smallest, of steps of a tenth, that takes 10 % less than so much memory; None if not ten times as large."""
+    from bask_data.core import tsdf
+
+    for factor in (1.1**k for k in range(1, 25)):
+        share = tsdf.coarsening(survey.blocks, factor, params.truncation)
+        if tsdf.peak_bytes(math.ceil(1.1 * share * n_blocks)) <= n_bytes:
+            return math.ceil(params.voxel_size * factor * 1e4) / 1e4
+    return None
+
+
+def _memory_limit(text: str) -> int:
+    """Bytes: as given, in GB where no unit is, or a share of what the machine has free and this process holds."""
+    match = re.fullmatch(r"([\d.]+)\s*([MG]B)?", text)
+    if match:
+        return int(float(match[1]) * (1e6 if match[2] == "MB" else 1e9))
+    return _resident_bytes() + int(USED_SHARE * _free_bytes())
+
+
+def _resident_bytes() -> int:
+    import psutil
+
+    return int(psutil.Process().memory_info().rss)
+
+
+def _free_bytes() -> int:
+    """Of the machine, or of the container, which the machine's own figures know nothing of."""
+    import psutil
+
+    free = int(psutil.virtual_memory().available)
+    group = Path("/sys/fs/cgroup")
+    try:
+        limit = (group / "memory.max").read_text().strip()
+        if limit != "max":
+            free = min(free, int(limit) - int((group / "memory.current").read_text()))
+    except (OSError, ValueError):
+        pass  # No Linux, or no container.
+    return max(free, 0)
+
+
+def _amount(n_bytes: int) -> str:
+    return f"{n_bytes / 1e9:.2g}GB" if n_bytes >= 1e9 else f"{n_bytes / 1e6:.0f}MB"
+
+
+# Fusion ---------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Note:
+    """What is kept of a frame after it was fused: a few kilobytes."""
+
+    fused: bool
+    valid_depth: float
+    sketch: Sketch
+
+
+@dataclass(frozen=True)
+class _Fusion:
+    """The mesh of all frames, the one to judge them by, a note of each, and the voxel blocks it took."""
+
+    mesh: Mesh
+    judge: Mesh
+    notes: list[_Note]
+    n_blocks: int
+
+
+def _fused(scan: Scan, frames: list[FrameOfCamera], survey: _Survey, params: ReconstructParams) -> _Fusion:
+    import numpy as np
+
+    from bask_data.core import depth, fit, tsdf
+
+    most = _most_blocks(survey, params)
+    room = min(most, math.ceil(survey.n_blocks * tsdf.ROOM) + 1)
+    volume = tsdf.Volume(params.voxel_size, params.truncation, survey.bounds, room, most)
+    fine = set(_spread(len(frames), N_SEARCHED))
+    notes = []
+    for k, (camera, i_frame) in enumerate(progress(frames, "fusing frames")):
+        raw = camera.depth(i_frame)
+        measured = depth.cleaned(raw, params.near, params.far)
+        try:
+            fused = volume.integrate(measured, camera.rgb(i_frame), camera.K, camera.world_from_cameras[i_frame])
+        except tsdf.VolumeTooLarge as error:
+            limit, begun = _memory_limit(params.max_memory), _resident_bytes() - volume.n_blocks * tsdf.BLOCK_BYTES
+            raise _too_large(error.n_needed * len(frames) // (k + 1), begun, limit, survey, params) from None
+        columns = FINE_SKETCH_COLUMNS if k in fine else SKETCH_COLUMNS
+        notes.append(
+            _Note(
+                fused,
+                float(np.count_nonzero(measured)) / measured.size,
+                fit.sketch(raw, measured, params.far, columns),
+            )
+        )
+    n_blocks, judge = volume.n_blocks, None
+    if volume.views_needed(params.min_views, 2) > volume.views_needed(params.min_views):
+        judge = volume.mesh(params.min_views, 2)
+    mesh = volume.mesh(params.min_views, release=True)
     if len(mesh.triangles) == 0:
         raise BadData(
             scan.path,
@@ -95,42 +361,146 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
             got=f"none from {volume.n_integrated} of {len(frames)} frames",
             fix="check --workspace (world frame, metres), or leave it out to have it estimated.",
         )
-    lowest, highest = bounds.tolist()
-    Reconstruction.write(
-        out,
-        vertices=mesh.vertices,
-        triangles=mesh.triangles,
-        colors=mesh.colors,
-        voxel_size=params.voxel_size,
-        bounds=(*lowest, *highest),
-        quality={
-            "frames": sum(camera.n_frames for camera in scan.cameras),
-            "frames_of_distinct_views": len(frames),
-            "frames_fused": volume.n_integrated,
-            "frames_without_depth_in_the_workspace": len(frames) - volume.n_integrated,
-            "workspace": "estimated" if params.workspace is None else "given",
-        },
-    )
+    return _Fusion(mesh, judge if judge is not None and len(judge.triangles) else mesh, notes, n_blocks)
 
 
-def _survey(frames: list[tuple[Camera, int]], params: ReconstructParams) -> Iterator[Glimpse]:
-    """Thinned-out points of frames spread evenly over the scan."""
+# Quality --------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Assessment:
+    """How the mesh and the frames agree, and where no frame could measure."""
+
+    rows: list[FrameRow]
+    seen_from_behind: float
+    unmeasured: list[UnmeasuredRegion]
+
+
+def _assessed(
+    frames: list[FrameOfCamera],
+    notes: list[_Note],
+    mesh: Mesh,
+    bounds: np.ndarray,
+    suspects: set[tuple[str, int]] | None = None,
+    dropped: bool = False,
+) -> _Assessment:
+    """Hold every frame against the mesh.
+
+    Args:
+        suspects: frames known to disagree with the others; None to find them.
+        dropped: whether the mesh is without those.
+    """
+    from bask_data.core import fit
+
+    surface = fit.Surface(mesh.vertices, mesh.triangles)
+    fits = [
+        fit.fit(note.sketch, camera.K, camera.world_from_cameras[i_frame], surface, bounds)
+        for (camera, i_frame), note in zip(frames, notes, strict=True)
+    ]
+    known = suspects if suspects is not None else _suspects(frames, fits)
+    rows = [
+        FrameRow(
+            camera=camera.name,
+            frame=i_frame,
+            fused=note.fused and not (dropped and (camera.name, i_frame) in known),
+            suspect=(camera.name, i_frame) in known,
+            valid_depth=note.valid_depth,
+            n_judged=one.n_judged,
+            explained=one.explained,
+            residual=one.residual,
+            residual_abs=one.residual_abs,
+            from_behind=one.from_behind,
+        )
+        for (camera, i_frame), note, one in zip(frames, notes, fits, strict=True)
+    ]
+    return _Assessment(rows, surface.area_from_behind, _unmeasured(frames, notes, surface, bounds))
+
+
+def _suspects(frames: list[FrameOfCamera], fits: list[Fit]) -> set[tuple[str, int]]:
+    """Camera and number of the frames that the mesh explains far worse than others of the same camera."""
     import numpy as np
 
-    from bask_data.core import depth, tsdf
+    from bask_data.core import fit
 
-    chosen = np.linspace(0, len(frames) - 1, N_SURVEYED).round().astype(int)
-    for i_chosen in progress(np.unique(chosen) if frames else [], "looking over the scan"):
-        camera, i_frame = frames[i_chosen]
-        measured = depth.cleaned(camera.depth(i_frame), params.near, params.far)
-        yield tsdf.glimpse(measured, camera.K, camera.world_from_cameras[i_frame])
+    found: set[tuple[str, int]] = set()
+    for name in {camera.name for camera, _ in frames}:
+        own = [(i_frame, one) for (camera, i_frame), one in zip(frames, fits, strict=True) if camera.name == name]
+        odd = fit.outliers(
+            np.array([one.n_judged for _, one in own]),
+            np.array([one.explained for _, one in own]),
+            np.array([one.residual_abs for _, one in own]),
+        )
+        found |= {(name, own[k][0]) for k in np.flatnonzero(odd)}
+    return found
 
 
-def _bounds(glimpses: list[Glimpse], params: ReconstructParams) -> np.ndarray | None:
+def _unmeasured(
+    frames: list[FrameOfCamera], notes: list[_Note], surface: Surface, bounds: np.ndarray
+) -> list[UnmeasuredRegion]:
+    from bask_data.core import fit, unmeasured
+
+    views = []
+    for k in _spread(len(frames), N_SEARCHED):
+        (camera, i_frame), sketch = frames[k], notes[k].sketch
+        world_from_camera = camera.world_from_cameras[i_frame]
+        mesh_depth, _ = surface.cast(fit.sketch_rays(sketch, camera.K, world_from_camera))
+        mesh_depth = mesh_depth.reshape(sketch.depth.shape)
+        views.append(unmeasured.SketchedView(sketch, camera.K, world_from_camera, mesh_depth))
+    return [
+        UnmeasuredRegion(centre=region.centre, size=region.size, volume=region.volume)
+        for region in unmeasured.unmeasured_regions(views, bounds)
+    ]
+
+
+def _warnings(assessment: _Assessment, params: ReconstructParams) -> list[str]:
+    """What a person should know, with what to do about it."""
+    rows, warnings = assessment.rows, []
+    if blind := [row for row in rows if row.valid_depth == 0]:
+        warnings.append(
+            f"{len(blind)} of {len(rows)} frames have no depth between {params.near:g} and {params.far:g} m and were "
+            f"skipped: {_listed(blind)}."
+        )
+    usual = _median(row.explained for row in rows)
+    if usual is not None and usual < POOR:
+        warnings.append(
+            f"only {usual:.0%} of the depth lies on the surface: check the camera poses, the depth scale and the "
+            "intrinsics."
+        )
+    if suspects := [row for row in rows if row.suspect]:
+        figures = ", ".join(
+            f"{row.camera} {row.frame} ({row.explained:.0%} of its depth on the surface, off by "
+            f"{row.residual_abs * 100:.1f} cm)"
+            for row in suspects[:5]
+        )
+        more = f" and {len(suspects) - 5} more" if len(suspects) > 5 else ""
+        names = ",".join(f"{row.camera}:{row.frame}" for row in suspects)
+        done = (
+            "They were left out of the mesh; --no-drop-suspects keeps them."
+            if not any(row.fused for row in suspects)
+            else f"To leave them out: --exclude {names}"
+        )
+        warnings.append(
+            f"{len(suspects)} of {len(rows)} frames disagree with the others, which have {usual:.0%} on the surface: "
+            f"{figures}{more}. Their poses may be wrong, or something moved. {done}"
+        )
+    for region in assessment.unmeasured:
+        centre = ", ".join(f"{x:.2f}" for x in region.centre)
+        size = " x ".join(f"{100 * x:.0f}" for x in region.size)
+        warnings.append(
+            f"the cameras could not measure what stands at {centre} m (about {size} cm): transparent, shiny or black? "
+            "Masks there cannot be trusted."
+        )
+    return warnings
+
+
+def _listed(rows: list[FrameRow], most: int = 8) -> str:
+    names = [f"{row.camera} {row.frame}" for row in rows]
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def _median(values: object) -> float | None:
+    """The median of the numbers among the values; None if there is none."""
     import numpy as np
 
-    from bask_data.core import tsdf
-
-    if params.workspace is not None:
-        return np.reshape(params.workspace, (2, 3)).astype(float)
-    return tsdf.estimated_workspace(glimpses)
+    known = [value for value in values if not math.isnan(value)]  # type: ignore[attr-defined]
+    return round(float(np.median(known)), 6) if known else None

@@ -8,14 +8,19 @@ import pytest
 
 from bask_data.core.depth import cleaned
 from bask_data.core.tsdf import (
+    BLOCK_BYTES,
     BLOCK_RESOLUTION,
+    ROOM,
     Mesh,
     Volume,
+    VolumeTooLarge,
+    blocks_inside,
     canonical,
+    coarsening,
     distinct_views,
-    estimated_workspace,
     expected_blocks,
-    glimpse,
+    peak_bytes,
+    touched_blocks,
 )
 from tests.scenes import Box, Plane, Scene, Sphere, intrinsics, look_at, noisy, orbit
 
@@ -207,47 +212,101 @@ def test_views_are_thinned_by_distance_or_by_angle() -> None:
     assert distinct_views(along_x[:0], 0.05, 0.0).tolist() == []
 
 
-def test_estimated_workspace_holds_what_cameras_share_and_not_a_glance_at_a_far_wall() -> None:
-    table_and_wall = Scene(SCENE.objects, (Plane(extent=0.3), Plane((1.0, 0.0, 0.0), 3.0, (-3.0, 0.0, 0.5), 0.3)))
-    cameras = [*orbit(9, radius=0.5), look_at((0.0, 0.0, 0.5), (-3.0, 0.0, 0.5))]
-    glimpses = [glimpse(table_and_wall.render(K, camera, HEIGHT, WIDTH).depth, K, camera) for camera in cameras]
-    assert min(one.points_world[:, 0].min() for one in glimpses) == pytest.approx(-3.0, abs=1e-5)
-    box = estimated_workspace(glimpses)
-    assert box is not None
-    assert (box[0] < [-0.2, -0.2, 0.0]).all()
-    assert (box[0] > [-0.4, -0.4, -0.1]).all()
-    assert (box[1] > [0.15, 0.15, 0.08]).all()
-    assert (box[1] < [0.4, 0.4, 0.2]).all()
+def touched_by(cameras: np.ndarray, voxel_size: float = VOXEL) -> list[np.ndarray]:
+    """Blocks inside the bounds that each camera's noisy view touches."""
+    found = []
+    for i_view, camera in enumerate(cameras):
+        rng = np.random.default_rng(i_view)
+        depth = cleaned(noisy(SCENE.render(K, camera, HEIGHT, WIDTH).depth, 0.001, rng), 0.1, 2.0)
+        blocks = touched_blocks(depth, K, camera, voxel_size)
+        found.append(blocks[blocks_inside(blocks, voxel_size, BOUNDS)])
+    return found
 
 
-def test_workspace_of_one_frame_is_what_it_measured_and_of_none_is_none() -> None:
-    view = SCENE.render(K, orbit(1, radius=0.5)[0], HEIGHT, WIDTH)
-    box = estimated_workspace([glimpse(view.depth, K, orbit(1, radius=0.5)[0])])
-    assert box is not None
-    assert (box[0] < -0.2).any()
-    assert estimated_workspace([glimpse(np.zeros_like(view.depth), K, np.eye(4))]) is None
+def test_touched_blocks_are_those_that_fusing_fills() -> None:
+    volume, camera = Volume(VOXEL, bounds=BOUNDS), orbit(1)[0]
+    view = SCENE.render(K, camera, HEIGHT, WIDTH)
+    volume.integrate(view.depth, view.rgb, K, camera)
+    touched = touched_blocks(view.depth, K, camera, VOXEL)
+    assert blocks_inside(touched, VOXEL, BOUNDS).sum() == volume.n_blocks
+    assert len(touched) > volume.n_blocks, "the table goes on beyond the bounds"
+    assert len(touched_blocks(np.zeros_like(view.depth), K, camera, VOXEL)) == 0
 
 
-def test_glimpse_lies_on_the_surface() -> None:
-    camera = orbit(1)[0]
-    one = glimpse(SCENE.render(K, camera, HEIGHT, WIDTH).depth, K, camera, n_points=500)
-    assert 500 <= len(one.points_world) < 1000
-    assert SCENE.surface_distance(one.points_world).max() < 1e-6
-    assert np.array_equal(one.eye_world, camera[:3, 3])
+def test_expected_blocks_are_exact_when_every_frame_is_looked_at() -> None:
+    touched = touched_by(orbit(6, radius=0.5))
+    n_blocks = len(np.unique(np.concatenate(touched), axis=0))
+    assert expected_blocks(touched, 6) == n_blocks
+    assert expected_blocks([], 6) == 0
+    assert expected_blocks(touched[:1] * 5, 60) == n_blocks_of(touched[:1]), "frames that agree leave nothing unseen"
 
 
-def test_expected_blocks_suffice_for_the_frames_between_those_sampled() -> None:
-    volume, glimpses = Volume(VOXEL, bounds=BOUNDS), []
-    for i_view, camera in enumerate(orbit(12, radius=0.5)):
-        depth = cleaned(
-            noisy(SCENE.render(K, camera, HEIGHT, WIDTH).depth, 0.001, np.random.default_rng(i_view)), 0.1, 2.0
-        )
-        volume.integrate(depth, np.zeros((HEIGHT, WIDTH, 3), np.uint8), K, camera)
-        if i_view % 3 == 0:
-            glimpses.append(glimpse(depth, K, camera))
-    expected = expected_blocks(glimpses, VOXEL, bounds=BOUNDS)
-    assert volume.n_blocks <= expected <= 1000 + 3 * volume.n_blocks
-    assert expected_blocks([], VOXEL) == 1000
+def n_blocks_of(touched: list[np.ndarray]) -> int:
+    return len(np.unique(np.concatenate(touched), axis=0))
+
+
+@pytest.mark.parametrize("voxel_size", [0.005, 0.002])
+def test_a_few_of_many_frames_tell_the_blocks_of_all(voxel_size: float) -> None:
+    touched = touched_by(orbit(60, radius=0.5), voxel_size)
+    expected = expected_blocks(touched[::5], 60)
+    assert n_blocks_of(touched[::5]) < n_blocks_of(touched)
+    assert ROOM * expected >= n_blocks_of(touched), "there is room for all"
+    assert expected < 1.25 * n_blocks_of(touched)
+
+
+def test_coarser_voxels_need_the_blocks_foreseen() -> None:
+    fine = np.unique(np.concatenate(touched_by(orbit(6, radius=0.5), VOXEL)), axis=0)
+    for factor in (1.3, 2.0, 3.0):
+        n_coarse = n_blocks_of(touched_by(orbit(6, radius=0.5), VOXEL * factor))
+        assert 0.95 * n_coarse < coarsening(fine, factor) * len(fine) < 1.35 * n_coarse
+    assert coarsening(fine[:0], 2.0) == 1.0
+
+
+def test_a_volume_with_room_for_the_expected_blocks_does_not_grow() -> None:
+    cameras = orbit(30, radius=0.5)
+    volume = Volume(VOXEL, bounds=BOUNDS, n_blocks=int(ROOM * expected_blocks(touched_by(cameras[::3]), 30)))
+    small = Volume(VOXEL, bounds=BOUNDS, n_blocks=10)
+    for camera in cameras:
+        view = SCENE.render(K, camera, HEIGHT, WIDTH)
+        volume.integrate(view.depth, view.rgb, K, camera)
+        small.integrate(view.depth, view.rgb, K, camera)
+    assert volume.n_grown == 0
+    assert 0 < small.n_grown < 12, "it grows by a share, not by a step"
+    assert small.mesh().vertices.tobytes() == volume.mesh().vertices.tobytes()
+
+
+def test_a_volume_grows_to_its_limit_and_not_beyond() -> None:
+    # The last sees more than those before it: the others look at the table from close by.
+    cameras = [look_at((0.0, 0.0, 0.25)), look_at((0.05, 0.0, 0.25), (0.05, 0.0, 0.0)), look_at((0.3, 0.0, 0.4))]
+    views = [(SCENE.render(K, camera, HEIGHT, WIDTH), camera) for camera in cameras]
+    free = Volume(VOXEL, bounds=BOUNDS)
+    for view, camera in views:
+        free.integrate(view.depth, view.rgb, K, camera)
+    exact = Volume(VOXEL, bounds=BOUNDS, n_blocks=10, max_blocks=free.n_blocks)
+    tight = Volume(VOXEL, bounds=BOUNDS, n_blocks=10, max_blocks=free.n_blocks - 1)
+    for view, camera in views:
+        exact.integrate(view.depth, view.rgb, K, camera)
+    assert exact.n_blocks == free.n_blocks
+    last, camera = views[-1]
+    for view, earlier in views[:-1]:
+        tight.integrate(view.depth, view.rgb, K, earlier)
+    with pytest.raises(VolumeTooLarge, match=f"^{free.n_blocks} voxel blocks$") as error:
+        tight.integrate(last.depth, last.rgb, K, camera)
+    assert error.value.n_needed == free.n_blocks
+    assert tight.n_blocks < free.n_blocks
+
+
+def test_peak_memory_is_that_of_the_volume_and_of_what_the_mesh_is_made_with() -> None:
+    assert peak_bytes(1000) > 1000 * (ROOM * BLOCK_BYTES + BLOCK_RESOLUTION**3 * 16)
+    assert peak_bytes(1000) == 1000 * peak_bytes(1)
+
+
+def test_a_released_volume_is_empty() -> None:
+    volume, view = Volume(VOXEL, bounds=BOUNDS), SCENE.render(K, orbit(1)[0], HEIGHT, WIDTH)
+    volume.integrate(view.depth, view.rgb, K, orbit(1)[0])
+    kept = volume.mesh()
+    assert volume.mesh(release=True).vertices.tobytes() == kept.vertices.tobytes()
+    assert volume.n_blocks == 0
 
 
 def test_wrong_arguments_are_refused_in_words() -> None:

@@ -42,7 +42,6 @@ def test_triangles_of_vertices_that_do_not_exist(tmp_path: Path) -> None:
         colors=np.zeros((3, 3), dtype=np.uint8),
         voxel_size=0.01,
         bounds=(0, 0, 0, 1, 1, 1),
-        quality={},
     )
     with pytest.raises(BadData, match="triangles: expected indices below 3, got 3"):
         _ = Reconstruction(tmp_path).triangles

@@ -1,20 +1,23 @@
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from bask_data.dataset import Dataset, Source
+from bask_data.errors import UsageError
 from bask_data.kinds import Reconstruction, Scan
 from bask_data.stage import Outcome, make, plan
-from bask_data.stages.reconstruct import reconstruct
+from bask_data.stages.reconstruct import WORKING_BYTES, reconstruct
 from tests.datasets import publish_artifact, publish_recording
 from tests.scenes import Box, Plane, Scene, Sphere, intrinsics, look_at, noisy, orbit
 
-GOLDEN = Path(__file__).parent / "golden" / "reconstruct_v1.npz"
+GOLDEN = Path(__file__).parent / "golden" / "reconstruct_v2.npz"
 HEIGHT, WIDTH = 96, 128
 K = intrinsics(HEIGHT, WIDTH)
 SCENE = Scene(
@@ -51,8 +54,14 @@ def test_scan_becomes_a_mesh_on_the_surface(tmp_path: Path) -> None:
     assert len(mesh.triangles) > 3000
     assert mesh.colors.shape == mesh.vertices.shape
     assert mesh.voxel_size == 0.006
-    assert mesh.metadata.quality["frames_fused"] == 9
-    assert mesh.metadata.quality["workspace"] == "estimated"
+    quality = mesh.metadata.quality
+    assert (quality.frames, quality.frames_fused, quality.workspace) == (9, 9, "estimated")
+    assert quality.explained > 0.95
+    assert abs(quality.residual) < 0.0005
+    assert 0.0003 < quality.residual_abs < 0.0015, "the noise is 1 mm"
+    assert quality.seen_from_behind < 0.05
+    assert mesh.metadata.warnings == []
+    assert mesh.metadata.unmeasured == []
 
 
 def test_same_scan_gives_the_same_digest_twice(tmp_path: Path) -> None:
@@ -63,23 +72,27 @@ def test_mesh_stays_in_the_workspace_given(tmp_path: Path) -> None:
     box = (-0.1, -0.1, -0.02, 0.1, 0.1, 0.1)
     mesh = result(scan_of(tmp_path / "d"), workspace=box)
     assert mesh.metadata.bounds == box
-    assert mesh.metadata.quality["workspace"] == "given"
+    assert mesh.metadata.quality.workspace == "given"
     assert (mesh.vertices >= np.array(box[:3], np.float32)).all()
     assert (mesh.vertices <= np.array(box[3:], np.float32)).all()
 
 
 def test_frames_without_depth_are_counted(tmp_path: Path) -> None:
-    quality = result(scan_of(tmp_path / "d", blind=(2, 5))).metadata.quality
-    assert quality["frames"] == 9
-    assert quality["frames_fused"] == 7
-    assert quality["frames_without_depth_in_the_workspace"] == 2
+    mesh = result(scan_of(tmp_path / "d", blind=(2, 5)))
+    quality = mesh.metadata.quality
+    assert (quality.frames, quality.frames_fused) == (9, 7)
+    assert quality.frames_without_depth == 2
+    assert quality.frames_without_depth_in_the_workspace == 2
+    assert mesh.metadata.warnings == [
+        "2 of 9 frames have no depth between 0.15 and 4 m and were skipped: wrist 2, wrist 5."
+    ]
 
 
 def test_views_that_hardly_differ_are_left_out_when_asked(tmp_path: Path) -> None:
     quality = result(scan_of(tmp_path / "d"), min_angle_deg=150.0).metadata.quality
-    assert quality["frames"] == 9
-    assert 1 < quality["frames_of_distinct_views"] < 9
-    assert quality["frames_fused"] == quality["frames_of_distinct_views"]
+    assert quality.frames == 9
+    assert 1 < quality.frames_of_distinct_views < 9
+    assert quality.frames_fused == quality.frames_of_distinct_views
 
 
 def test_result_is_that_of_this_version(tmp_path: Path) -> None:
@@ -154,45 +167,233 @@ def test_all_cameras_of_a_scan_are_fused(tmp_path: Path) -> None:
 
     dataset.add("scene", "a", Source(format="test", path="none"))
     publish_artifact(dataset, Scan, "a", fill)
-    quality = result(dataset).metadata.quality
-    assert quality["frames"] == 9
-    assert quality["frames_fused"] == 9
+    mesh = result(dataset)
+    assert (mesh.metadata.quality.frames, mesh.metadata.quality.frames_fused) == (9, 9)
+    frames = mesh.frames.to_pydict()
+    assert list(zip(frames["camera"], frames["frame"], strict=True)) == [
+        *(("overhead", i) for i in range(3)),
+        *(("wrist", i) for i in range(6)),
+    ]
 
 
-PRINT_PEAK = """
+def test_table_of_frames_says_how_the_mesh_explains_each(tmp_path: Path) -> None:
+    frames = result(scan_of(tmp_path / "d", blind=(2,))).frames.to_pydict()
+    assert frames["frame"] == list(range(9))
+    assert frames["fused"] == [i != 2 for i in range(9)]
+    assert not any(frames["suspect"])
+    for i in range(9):
+        if i == 2:
+            assert (frames["valid_depth"][i], frames["n_judged"][i]) == (0, 0)
+            assert np.isnan(frames["explained"][i])
+            continue
+        assert frames["valid_depth"][i] > 0.3
+        assert frames["n_judged"][i] > 300
+        assert frames["explained"][i] > 0.9
+        assert frames["residual_abs"][i] < 0.0015
+
+
+def off_by_10_cm(root: Path, i_bad: int) -> Dataset:
+    """A scan of which one frame's camera was 10 cm elsewhere."""
+    dataset = Dataset.create(root)
+    rng, cameras = np.random.default_rng(0), orbit(12, radius=0.5)
+    views = [SCENE.render(K, camera, HEIGHT, WIDTH) for camera in cameras]
+    depth = [noisy(view.depth, 0.001, rng) for view in views]
+    cameras = cameras.copy()
+    cameras[i_bad, :3, 3] += 0.1 * np.array([0.6, 0.0, 0.8])
+    publish_recording(dataset, "a", rgb=[view.rgb for view in views], depth=depth, K=K, world_from_cameras=cameras)
+    return dataset
+
+
+@pytest.mark.parametrize("i_bad", [0, 5, 11])
+def test_a_frame_with_a_wrong_pose_stands_out_and_is_left_out(tmp_path: Path, i_bad: int) -> None:
+    dataset = off_by_10_cm(tmp_path / "d", i_bad)
+    mesh = result(dataset)
+    frames = mesh.frames.to_pydict()
+    assert [frame for frame, odd in zip(frames["frame"], frames["suspect"], strict=True) if odd] == [i_bad]
+    assert [frame for frame, fused in zip(frames["frame"], frames["fused"], strict=True) if not fused] == [i_bad]
+    assert frames["explained"][i_bad] < 0.5
+    quality = mesh.metadata.quality
+    assert (quality.frames_suspect, quality.frames_fused) == (1, 11)
+    assert quality.explained > 0.95
+    [warning] = mesh.metadata.warnings
+    assert "1 of 12 frames disagree with the others, which have 9" in warning
+    assert f"wrist {i_bad} (" in warning
+    assert warning.endswith("They were left out of the mesh; --no-drop-suspects keeps them.")
+    assert np.median(SCENE.surface_distance(mesh.vertices.astype(float))) < 0.5 * 0.006
+    without = result(dataset, exclude=[f"wrist:{i_bad}"])
+    quality = without.metadata.quality
+    assert (quality.frames, quality.frames_excluded, quality.frames_fused, quality.frames_suspect) == (12, 1, 11, 0)
+    assert without.metadata.warnings == []
+    assert without.vertices.tobytes() == mesh.vertices.tobytes()
+
+
+def test_a_suspect_frame_is_kept_when_asked_and_doubles_the_surface(tmp_path: Path) -> None:
+    mesh = result(off_by_10_cm(tmp_path / "d", 5), drop_suspects=False)
+    assert mesh.metadata.quality.frames_suspect == 1
+    assert mesh.metadata.quality.frames_fused == 12
+    assert any(one.endswith("To leave them out: --exclude wrist:5") for one in mesh.metadata.warnings)
+    assert mesh.metadata.quality.explained < 0.6
+
+
+def test_frames_are_left_out_one_by_one_and_in_ranges(tmp_path: Path) -> None:
+    mesh = result(scan_of(tmp_path / "d"), exclude=["wrist:0", "wrist:3-5"])
+    assert mesh.frames.to_pydict()["frame"] == [1, 2, 6, 7, 8]
+
+
+@pytest.mark.parametrize("wrong", ["wrist:9", "wrist:5-3", "wrist:7-9", "hand:1", "4", "wrist:x"])
+def test_a_frame_to_leave_out_that_does_not_exist_is_refused(tmp_path: Path, wrong: str) -> None:
+    outcome = made(scan_of(tmp_path / "d"), exclude=[wrong])
+    assert outcome.status == "failed"
+    assert f"exclude: expected frames of a, which has wrist:0-8, got {wrong}." in outcome.why
+
+
+def test_poses_that_do_not_fit_at_all_are_told(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    rng, cameras = np.random.default_rng(0), orbit(12, radius=0.5)
+    views = [SCENE.render(K, camera, HEIGHT, WIDTH) for camera in cameras]
+    cameras = cameras.copy()
+    cameras[:, :3, 3] += rng.normal(scale=0.06, size=(12, 3))
+    publish_recording(
+        dataset,
+        "a",
+        rgb=[view.rgb for view in views],
+        depth=[view.depth for view in views],
+        K=K,
+        world_from_cameras=cameras,
+    )
+    warnings = result(dataset, min_views=1).metadata.warnings
+    assert any("of the depth lies on the surface: check the camera poses, the depth scale" in one for one in warnings)
+
+
+def test_glass_on_the_table_is_named_with_its_place_and_clay_is_not(tmp_path: Path) -> None:
+    K, cameras = intrinsics(240, 320), orbit(24, radius=0.6)
+    box = np.eye(4)
+    box[:3, 3] = [-0.1, 0.1, 0.05]
+    for name, glass in (("clay", False), ("glass", True)):
+        dataset = Dataset.create(tmp_path / name)
+        views = [
+            Scene((Box((0.03, 0.03, 0.05), box), *SCENE.objects), (Plane(extent=0.4),)).render(K, camera, 240, 320)
+            for camera in cameras
+        ]
+        depth = [np.where(glass & (view.instance == 1), np.float32(0), view.depth) for view in views]
+        publish_recording(dataset, "a", rgb=[view.rgb for view in views], depth=depth, K=K, world_from_cameras=cameras)
+        metadata = result(dataset).metadata
+        assert len(metadata.unmeasured) == len(metadata.warnings) == int(glass)
+    [region], [warning] = metadata.unmeasured, metadata.warnings
+    assert region.centre == pytest.approx((-0.1, 0.1, 0.05), abs=0.025)
+    assert region.size == pytest.approx((0.06, 0.06, 0.1), abs=0.05)
+    assert warning.startswith("the cameras could not measure what stands at -0.1")
+    assert warning.endswith("transparent, shiny or black? Masks there cannot be trusted.")
+
+
+def test_too_little_memory_is_refused_before_the_run_and_the_remedy_works(tmp_path: Path) -> None:
+    dataset = scan_of(tmp_path / "d")
+    made(dataset, voxel_size=0.001)  # What libraries take when they are first used is not the volume's.
+    held = psutil.Process().memory_info().rss
+    limit = f"{(held + WORKING_BYTES + 40e6) / 1e6:.0f}MB"
+    outcome = made(dataset, voxel_size=0.0008, max_memory=limit)
+    assert outcome.status == "failed"
+    assert isinstance(outcome.error, UsageError)
+    assert re.search(r"max_memory: expected at most .*B, got a need of about .*B at voxels of 0.8 mm", outcome.why)
+    voxel_size = re.search(r"fix: --voxel-size (\S+), or a --workspace smaller than [\d. x]+ m, or", outcome.why)
+    assert voxel_size
+    assert result(dataset, voxel_size=float(voxel_size[1]), max_memory=limit).voxel_size == float(voxel_size[1])
+    needed = re.search(r"--max-memory (\S+)\.$", outcome.why)
+    assert needed
+    assert result(dataset, voxel_size=0.0008, max_memory=needed[1]).voxel_size == 0.0008
+
+
+def test_no_voxel_size_is_named_when_none_would_fit(tmp_path: Path) -> None:
+    outcome = made(scan_of(tmp_path / "d"), max_memory="1MB")
+    assert outcome.status == "failed"
+    assert re.search(r"at most 1MB, got a need of about .*fix: --max-memory \S+\.$", outcome.why)
+
+
+def test_memory_that_the_first_look_did_not_foresee_is_refused_when_it_is_needed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bask_data.stages.reconstruct._most_blocks", lambda survey, params: survey.n_blocks // 2)
+    outcome = made(scan_of(tmp_path / "d"), max_memory="2GB")
+    assert outcome.status == "failed"
+    assert "max_memory: expected at most 2GB, got a need of about" in outcome.why
+
+
+def test_the_limit_of_memory_does_not_make_a_result_stale(tmp_path: Path) -> None:
+    dataset = scan_of(tmp_path / "d")
+    assert made(dataset, max_memory="3GB").status == "made"
+    assert made(dataset).status == "up to date"
+    assert made(dataset, max_memory=4).status == "up to date", "a configuration may say 4 and mean GB"
+    with pytest.raises(UsageError, match="max_memory: expected"):
+        made(dataset, max_memory="much")
+
+
+PEAK = """
 import sys
 from pathlib import Path
 from bask_data.kinds import Scan
-from bask_data.stages.reconstruct import ReconstructParams, reconstruct
-reconstruct(scan=Scan(Path(sys.argv[1])), params=ReconstructParams(voxel_size=0.006), out=Path(sys.argv[2]))
+from bask_data.stages import reconstruct as stage
+seen = []
+most_blocks = stage._most_blocks
+def noted(survey, params):
+    seen.append((survey.n_blocks, stage._resident_bytes()))
+    return most_blocks(survey, params)
+stage._most_blocks = noted
+params = stage.ReconstructParams(voxel_size=float(sys.argv[3]))
+stage.reconstruct(scan=Scan(Path(sys.argv[1])), params=params, out=Path(sys.argv[2]))
+from bask_data.core.tsdf import peak_bytes
+[(n_blocks, held)] = seen
 # Not `getrusage`: a process inherits the peak of the one that started it.
-status = Path("/proc/self/status").read_text()
-print(status.split("VmHWM:")[1].split()[0])
+peak = int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) * 1024
+print(peak, held + stage.WORKING_BYTES + peak_bytes(n_blocks))
 """
+
+
+def peak_and_prediction(path: Path, out: Path, voxel_size: float) -> tuple[int, int]:
+    """Peak resident bytes of `reconstruct` in a process of its own, and what it foresaw."""
+    out.mkdir()
+    run = subprocess.run(
+        [sys.executable, "-c", PEAK, str(path), str(out), str(voxel_size)], capture_output=True, text=True, check=True
+    )
+    peak, predicted = map(int, run.stdout.split()[-2:])
+    return peak, predicted
+
+
+def room_scan(root: Path, n_frames: int, n_views: int = 40) -> Path:
+    """A walk through a room, 240 x 320, its views repeated until there are enough frames."""
+    walls = (Plane(), Plane((1.0, 0.0, 0.0), 1.2), Plane((0.0, 1.0, 0.0), 1.2), Plane((-1.0, 0.0, 0.0), 1.2))
+    furniture = tuple(
+        Box((0.2, 0.15, 0.3), look_at((x, y, 0.3), (0.0, 0.0, 0.3))) for x, y in ((0.7, 0.5), (-0.7, 0.6), (0.1, -0.8))
+    )
+    room, K = Scene(furniture, walls), intrinsics(240, 320)
+    angles = np.linspace(0, 2 * np.pi, n_views, endpoint=False)
+    cameras = np.stack(
+        [look_at((0.3 * np.cos(a), 0.3 * np.sin(a), 1.0), (np.cos(a + 0.7), np.sin(a + 0.7), 0.3)) for a in angles]
+    )
+    views = [room.render(K, camera, 240, 320) for camera in cameras]
+    order = np.arange(n_frames) % n_views
+    return publish_recording(
+        Dataset.create(root),
+        "a",
+        rgb=[views[i].rgb for i in order],
+        depth=[views[i].depth for i in order],
+        K=K,
+        world_from_cameras=cameras[order],
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the peak from /proc")
 def test_peak_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
-    fine_K, cameras = intrinsics(240, 320), orbit(12, radius=0.5)
-    views = [SCENE.render(fine_K, camera, 240, 320) for camera in cameras]
-    peaks = []
-    for n_frames in (60, 300):
-        order = np.arange(n_frames) % 12
-        dataset = Dataset.create(tmp_path / str(n_frames))
-        path = publish_recording(
-            dataset,
-            "a",
-            rgb=[views[i].rgb for i in order],
-            depth=[views[i].depth for i in order],
-            K=fine_K,
-            world_from_cameras=cameras[order],
-        )
-        out = tmp_path / f"out-{n_frames}"
-        out.mkdir()
-        run = subprocess.run(
-            [sys.executable, "-c", PRINT_PEAK, str(path), str(out)], capture_output=True, text=True, check=True
-        )
-        peaks.append(int(run.stdout.split()[-1]))
-    # 240 more frames would be 130 MB; a process with Open3D begins at 250.
-    assert peaks[1] < 1.05 * peaks[0]
+    few, _ = peak_and_prediction(room_scan(tmp_path / "200", 200), tmp_path / "out-200", 0.01)
+    many, _ = peak_and_prediction(room_scan(tmp_path / "1000", 1000), tmp_path / "out-1000", 0.01)
+    # 800 more frames would be 180 MB as they are stored and 800 MB as they are fused.
+    assert many < 1.05 * few
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads the peak from /proc")
+@pytest.mark.parametrize("voxel_size", [0.008, 0.004])
+def test_the_memory_foreseen_is_that_taken(tmp_path: Path, voxel_size: float) -> None:
+    peak, predicted = peak_and_prediction(room_scan(tmp_path / "d", 40), tmp_path / "out", voxel_size)
+    assert peak < 1.1 * predicted, "a limit must hold"
+    assert predicted < 1.3 * peak

@@ -1,0 +1,54 @@
+"""Where a scan's cameras look: the box worth reconstructing, from a few points of a few frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from jaxtyping import Float, Float32
+from numpy import ndarray
+
+from bask_data.core.geometry import transform, unproject
+
+
+def sampled_points(
+    depth: Float32[ndarray, "h w"],
+    K: Float[ndarray, "3 3"],
+    world_from_camera: Float[ndarray, "4 4"],
+    n_points: int = 5000,
+) -> Float[ndarray, "n 3"]:
+    """About `n_points` measured points of a frame, world frame, evenly over those it has (sensors that measure every
+    other pixel are no different)."""
+    v, u = np.nonzero(depth)
+    step = max(1, len(v) // n_points)
+    v, u = v[::step], u[::step]
+    points = unproject(np.stack([u, v], axis=-1).astype(np.float64), depth[v, u].astype(np.float64), K)
+    return transform(world_from_camera, points)
+
+
+def estimated_workspace(
+    clouds_world: Iterable[Float[ndarray, "_ 3"]], cell: float = 0.05, min_share: float = 0.2, margin: float = 0.02
+) -> Float[ndarray, "2 3"] | None:
+    """The box around what the frames agree on; None when they measured nothing.
+
+    Space is cut into cells; a cell counts when at least two frames and `min_share` of all frames measured a point in
+    it, so that a glance at a far wall does not. The box holds 99 % of the points in such cells on every axis. When no
+    cells are shared, all points count.
+
+    Args:
+        clouds_world: points of each frame, metres (`sampled_points`).
+        cell: edge of a cell, metres.
+        margin: metres added on each side.
+    """
+    clouds = [cloud for cloud in clouds_world if len(cloud)]
+    if not clouds:
+        return None
+    points = np.concatenate(clouds)
+    cells, i_cell = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_inverse=True)
+    i_cell = i_cell.reshape(-1)
+    i_frame = np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds])
+    n_frames = np.bincount(np.unique(i_cell * len(clouds) + i_frame) // len(clouds), minlength=len(cells))
+    shared = n_frames >= min(len(clouds), max(2, int(np.ceil(min_share * len(clouds)))))
+    agreed = points[shared[i_cell]] if shared.any() else points
+    lowest, highest = np.percentile(agreed, [0.5, 99.5], axis=0)
+    return np.stack([lowest - margin, highest + margin])
