@@ -48,7 +48,6 @@ def dataset_of(root: Path, recorded: list[View], pads: bool = False, n_labels: i
             colors=mesh.colors,
             voxel_size=0.005,
             bounds=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0),
-            quality={},
         ),
     )
     rows = [
