@@ -40,6 +40,7 @@ class Thing:
         z: metres, height of the origin when it stands.
         on: the thing it stands on, at `x`, `y`, `z` in that one's frame.
         hsv: main colour of its texture.
+        is_symmetric: whether it looks the same however it is turned about z.
         parts: bodies inside `body` that have a label and a colour of their own.
     """
 
@@ -52,6 +53,7 @@ class Thing:
     hsv: tuple[float, float, float]
     z: float = 0.0
     on: str = ""
+    is_symmetric: bool = False
     parts: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
@@ -184,6 +186,7 @@ def lid(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
             (0.12, 0.85, 0.95),
             z=top,
             on="saucepan",
+            is_symmetric=True,
         ),
     ]
     return things, Dimensions({"radius": radius, "top": top, "handle": radius + 0.125, "knob": 0.030, "grip": 0.034})

@@ -38,6 +38,18 @@ def object_faces(rng: np.random.Generator, hue: float, saturation: float, value:
     return np.stack([_face(rng, hue, saturation, value) for _ in range(6)])
 
 
+def symmetric_faces(rng: np.random.Generator, hue: float, saturation: float, value: float) -> UInt8[ndarray, "6 f f 3"]:
+    """Faces that look the same however the object is turned about z: rings above and below, plain sides."""
+    middle = (FACE - 1) / 2
+    radius = np.hypot(*(np.mgrid[:FACE, :FACE] - middle)) / middle
+    profile = smooth_noise(rng, 2, FACE, (5, 14))[0]
+    shade = np.interp(radius, np.linspace(0, 1.5, FACE), profile)[..., None]
+    dark, light = colour(hue - 0.02, saturation * 1.1, value * 0.5), colour(hue + 0.02, saturation * 0.7, value * 1.05)
+    rings = (dark * (1 - shade) + light * shade).clip(0, 255).astype(np.uint8)
+    plain = np.broadcast_to(colour(hue, saturation, value * 0.8).astype(np.uint8), rings.shape)
+    return np.stack([plain, plain, plain, plain, rings, rings])
+
+
 def _face(rng: np.random.Generator, hue: float, saturation: float, value: float) -> UInt8[ndarray, "f f 3"]:
     noise = smooth_noise(rng, FACE, FACE, (4, 9, 20, 48))[..., None]
     dark = colour(hue + rng.uniform(-0.03, 0.03), saturation * 1.1, value * 0.55)

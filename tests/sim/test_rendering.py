@@ -16,6 +16,7 @@ from tests.sim.worlds import (
     first_hit,
     intrinsics_of,
     points_world,
+    renderer_of,
     scan_of,
     views,
     world_of,
@@ -119,6 +120,23 @@ def test_glass_has_depth_and_label_and_shows_what_is_behind() -> None:
     lid = world.world_from_body("lid")[2, 3]
     heights = points_world(view, intrinsics_of(world, "overhead"))[inner(np.uint8(view.is_glass)) & view.is_glass, 2]
     assert np.median(heights) == pytest.approx(lid + 0.008, abs=1e-4)
+
+
+def test_lid_looks_the_same_however_it_is_turned_and_other_objects_do_not() -> None:
+    for task, name, symmetric in (("lid", "lid", True), ("rubbish", "can", False)):
+        world, take = world_of(task), scan_of(task)  # type: ignore[arg-type]
+        [before] = views(world, take, "overhead", [0])
+        turned = take.qpos[0].copy()
+        quat = slice(world.address(name) + 3, world.address(name) + 7)
+        half = np.radians(60) / 2  # as many whole facets
+        w, x, y, z = turned[quat]
+        cosine, sine = np.cos(half), np.sin(half)
+        turned[quat] = [w * cosine - z * sine, x * cosine + y * sine, y * cosine - x * sine, z * cosine + w * sine]
+        world.show(turned)
+        after = renderer_of(world).view("overhead")
+        on_it = (before.instance == world.labels[name]) & (after.instance == world.labels[name])
+        change = np.abs(before.rgb[on_it].astype(float) - after.rgb[on_it]).mean()
+        assert (change < 3) == symmetric, (name, change)
 
 
 def test_gripper_is_in_the_picture_only_when_it_shall_be() -> None:

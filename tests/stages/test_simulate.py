@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import contextlib
 import json
-import os
+import random
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -121,10 +123,7 @@ def test_scenes_differ_and_the_objects_are_the_same(dataset: Path) -> None:
 
 
 def test_same_options_give_the_same_bytes_in_another_process_and_order(dataset: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "bask_data.cli", "ingest", "sim", str(tmp_path / "d"), "--task", "phone"]
-    options = [word for name, value in TINY.items() for word in (f"--{name}", str(value))]
-    only = ["--only", "phone_demo0,phone_scan1"]
-    subprocess.run([*command, *options, *only], check=True, capture_output=True, env={**os.environ})
+    subprocess.run(simulating(tmp_path / "d", "--only", "phone_demo0,phone_scan1"), check=True, capture_output=True)
     found = digests(tmp_path / "d")
     assert len(found) == 4
     assert found.items() <= digests(dataset).items()
@@ -231,6 +230,54 @@ def test_interruption_keeps_what_was_finished(tmp_path: Path, monkeypatch: pytes
     assert Dataset(tmp_path / "d").items("scene") == ["phone_scan0"]
     assert validate(Dataset(tmp_path / "d")) == []
     assert list((tmp_path / "d" / ".scratch").glob("*~*")) == []
+
+
+def simulating(root: Path, *words: object) -> list[str]:
+    options = [word for name, value in TINY.items() for word in (f"--{name}", value)]
+    command = [sys.executable, "-m", "bask_data.cli", "ingest", "sim", root, "--task", "phone", *options, *words]
+    return [str(word) for word in command]
+
+
+@pytest.mark.kill
+@pytest.mark.slow
+def test_kills_at_any_moment_lose_nothing_finished(tmp_path: Path) -> None:
+    words = ("--scans", 6, "--demonstrations", 2)
+    begun = time.monotonic()
+    subprocess.run(simulating(tmp_path / "whole", *words), check=True, capture_output=True)
+    seconds, whole = time.monotonic() - begun, digests(tmp_path / "whole")
+    chance, left = random.Random(0), set()
+    for i_kill in range(8):
+        root = tmp_path / f"killed{i_kill}"
+        process = subprocess.Popen(simulating(root, *words), stderr=subprocess.DEVNULL)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(chance.uniform(0.3, 1.0) * seconds)
+        process.kill()
+        process.wait()
+        if (root / "dataset.json").exists():
+            assert not [problem for problem in validate(Dataset(root)) if "not listed" not in problem.what]
+            left.add(len(Dataset(root).items("recording")))
+        subprocess.run(simulating(root, *words), check=True, capture_output=True)
+        assert digests(root) == whole
+        assert validate(Dataset(root)) == []
+        assert not [entry for entry in (root / ".scratch").iterdir() if entry.is_dir()]
+    assert len(left) > 1
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
+    code = (
+        "import resource, sys; from bask_data.cli import app\n"
+        "try: app(sys.argv[1:])\n"
+        "except SystemExit: print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
+    peaks = []
+    for n_frames in (100, 500):
+        words = ["ingest", "sim", tmp_path / str(n_frames), "--task", "phone", "--scans", 1, "--demonstrations", 0]
+        command = [sys.executable, "-c", code, *map(str, words), "--frames", str(n_frames), "--cameras", "wrist"]
+        answer = subprocess.run(command, check=True, capture_output=True, text=True)
+        peaks.append(int(answer.stdout.split()[-1]))
+    # 400 frames of colour and depth twice are 184 MB.
+    assert peaks[1] < 1.05 * peaks[0]
 
 
 def test_recording_that_a_kill_left_unlisted_is_listed_by_the_same_command(tmp_path: Path) -> None:
