@@ -491,13 +491,8 @@ def run_all(
     dataset = Dataset(root)
     dataset.recover()
     parameters = _parameters(root, config, set_)
-    names = _names(only)
-    unknown = [name for name in names if name not in dataset.items("recording")]
-    if unknown:
-        known = ", ".join(dataset.items("recording")) or "no items yet"
-        raise UsageError(root, "--only", expected=f"one of {known}", got=", ".join(unknown))
-    if not dataset.items("recording"):
-        raise UsageError(root, "", expected="a recording", got="none in the dataset", fix="bask-data ingest --help")
+    chosen = _chosen_recordings(dataset, only)
+    names = chosen if only else []
     planned = []
     for stage in STAGES:
         items = [name for name in names if name in dataset.items(stage.makes.scope)]
@@ -713,6 +708,82 @@ def report(
     if json_:
         print(json.dumps({"command": "report", "file": str(file), **summarise(dataset)}, indent=2))
     say(f"made {file}  (open it in a browser)")
+
+
+@app.command()
+@_reporting
+def view(
+    root: Root,
+    only: Only = "",
+    save: Annotated[
+        Path | None, typer.Option(help="Write the recording to this file, ending in .rrd.", metavar="FILE")
+    ] = None,
+    web: Annotated[bool, typer.Option("--web", help="Show it in a browser; needs no display here.")] = False,
+    port: Annotated[
+        int | None,
+        typer.Option(help="With --web: of the viewer; the next one is taken too. [default: 9090]", min=1, max=65534),
+    ] = None,
+    every: Annotated[int, typer.Option(min=1, help="Show each so many-th frame.")] = 1,
+    pairs: Annotated[int, typer.Option(min=0, help="Most pairs of views whose matches are shown, a scene.")] = 40,
+    variant: Annotated[str, typer.Option(help="Of the keypoints.", metavar="NAME")] = "main",
+    force: Annotated[bool, typer.Option("--force", help="Replace FILE.")] = False,
+    json_: Json = False,
+) -> None:
+    """Walk through scenes and demonstrations in the Rerun viewer, or save what it shows."""
+    from tempfile import TemporaryDirectory
+
+    from bask_data.kinds import KeypointTrack
+    from bask_data.view import Choice, save_recording
+    from bask_data.view.windows import has_display, serve, show
+
+    dataset = Dataset(root)
+    items = _chosen_recordings(dataset, only)
+    if variant not in dataset.variants(KeypointTrack):
+        known = ", ".join(dataset.variants(KeypointTrack))
+        raise UsageError(root, "--variant", expected=f"one of {known}", got=variant)
+    if port is not None and not web:
+        raise UsageError("view", "--port", expected="to come with --web", got="it alone", fix="--web --port N")
+    if not (save or web or has_display()):
+        raise UsageError(
+            "view", "", expected="a display to open a window on", got="none", fix="use --web, or --save FILE.rrd."
+        )
+    with TemporaryDirectory(prefix="bask-data-") as folder:
+        file = save or Path(folder) / f"{root.resolve().name}.rrd"
+        with shown_progress():
+            shown = save_recording(dataset, file, Choice(items, every, pairs, variant), force=force)
+        for name, one in shown.items():
+            _show_shown(name, one)
+        if json_:
+            found = {name: vars(one) for name, one in shown.items()}
+            saved = {"file": str(save) if save else None, "bytes": file.stat().st_size}
+            print(json.dumps({"command": "view", **saved, "items": found}, indent=2), flush=True)
+        if save:
+            say(f"made {file}  ({file.stat().st_size / 1e6:.1f} MB; open it with: rerun {_quoted(file)})")
+        if web:
+            serve(file, port or 9090, say=lambda url: say(f"open {url}  (Ctrl-C ends it)"))
+        elif not save:
+            show(file)
+
+
+def _chosen_recordings(dataset: Dataset, only: str) -> list[str]:
+    """Scenes and demonstrations by name, or all; there must be some."""
+    names, there = _names(only), dataset.items("recording")
+    unknown = [name for name in names if name not in there]
+    if unknown:
+        known = ", ".join(there) or "no items yet"
+        raise UsageError(dataset.root, "--only", expected=f"one of {known}", got=", ".join(unknown))
+    if not there:
+        fix = "bask-data ingest --help"
+        raise UsageError(dataset.root, "", expected="a recording", got="none in the dataset", fix=fix)
+    return list(dict.fromkeys(names)) or there
+
+
+def _show_shown(name: str, one: Any) -> None:
+    frames = ", ".join(f"{n} frames of {camera}" for camera, n in one.frames.items())
+    layers = ", ".join(layer for layer in one.layers if layer != "frames")
+    say(f"  shown       {name}: {'; '.join(part for part in (frames, layers) if part) or 'nothing'}")
+    if one.missing:
+        say(f"  not there   {name}: {', '.join(one.missing)}")
 
 
 @app.command()

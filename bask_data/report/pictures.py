@@ -15,6 +15,8 @@ from bask_data.core.geometry import scale_pixels
 
 INVALID = (128, 128, 128)
 """Where no depth was measured."""
+N_COLOURS = 255
+"""Labels beyond this, which no image of labels holds, begin again with the first colour."""
 _SUBPIXEL_BITS = 4
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 Colour = tuple[int, int, int]
@@ -79,6 +81,16 @@ def _gradient(colour_map: int) -> str:
     return f"linear-gradient(90deg,{','.join(css((int(r), int(g), int(b))) for b, g, r in ramp)})"
 
 
+def instance_colours(vertex_instance: np.ndarray, vertex_colours: np.ndarray) -> np.ndarray:
+    """(n, 3) uint8: instances in their colours, background in faint grey of its own brightness."""
+    grey = vertex_colours.astype(np.float32).mean(axis=1, keepdims=True)
+    result = np.repeat(70 + 0.4 * grey, 3, axis=1)
+    on_object = vertex_instance > 0
+    table = np.array(palette(N_COLOURS), np.float32)
+    result[on_object] = table[(vertex_instance[on_object] - 1) % N_COLOURS]
+    return result.astype(np.uint8)
+
+
 def mask_picture(rgb: np.ndarray, instance: np.ndarray, labels: np.ndarray | None, width: int) -> np.ndarray:
     """The image with instances tinted, outlined and numbered; the outlines of true labels, if given, in white."""
     picture = resize(rgb, width)
@@ -119,6 +131,16 @@ def _tag(picture: np.ndarray, text: str, centre: tuple[float, float], colour: Co
     cv2.rectangle(picture, (u - 2, v - height - 3), (u + width + 2, v + 3), colour, -1)
     bright = 0.299 * colour[0] + 0.587 * colour[1] + 0.114 * colour[2] > 130
     cv2.putText(picture, text, (u, v), _FONT, scale, (0, 0, 0) if bright else (255, 255, 255), 1, cv2.LINE_AA)
+
+
+def spread_matches(instance: np.ndarray, n_wanted: int) -> np.ndarray:
+    """Which matches to draw: chosen by chance, the same each time, every instance getting its turn."""
+    order = np.random.default_rng(0).permutation(len(instance))
+    rank = np.zeros(len(instance), dtype=np.int64)
+    for i in np.unique(instance):
+        mine = order[instance[order] == i]
+        rank[mine] = np.arange(len(mine))
+    return np.sort(order[np.argsort(rank[order], kind="stable")][:n_wanted])
 
 
 def matches_picture(rgb_a: np.ndarray, rgb_b: np.ndarray, uv_a: np.ndarray, uv_b: np.ndarray, width: int) -> np.ndarray:

@@ -351,7 +351,7 @@ def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: Obje
     plane = find(dataset, ObjectInstances, name)
     up = up_direction(plane.support_plane if plane else None, path)
     scene = MeshScene(mesh.vertices, mesh.triangles)
-    colours = mesh.colors if objects is None else _instance_colours(objects, mesh.colors)
+    colours = mesh.colors if objects is None else draw.instance_colours(objects.vertex_instance, mesh.colors)
     sharp, ambient = objects is not None, 0.65 if objects is None else 0.35
     tiles = []
     if cameras:
@@ -374,16 +374,6 @@ def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: Obje
             picture = draw_path(picture, view, path, FIRST, LAST)
         tiles.append({"uri": draw.jpeg_uri(picture), "text": f"from above, {side}"})
     return tiles
-
-
-def _instance_colours(objects: ObjectInstances, vertex_colours: np.ndarray) -> np.ndarray:
-    """Instances in their colours, background in faint grey of its own brightness."""
-    grey = vertex_colours.astype(np.float32).mean(axis=1, keepdims=True)
-    result = np.repeat(70 + 0.4 * grey, 3, axis=1)
-    table = np.array(draw.palette(int(objects.vertex_instance.max(initial=0))), np.float32).reshape(-1, 3)
-    on_object = objects.vertex_instance > 0
-    result[on_object] = table[objects.vertex_instance[on_object] - 1]
-    return result.astype(np.uint8)
 
 
 # Masks ---------------------------------------------------------------------------------------------------------------
@@ -481,7 +471,7 @@ def _pair_tiles(scan: Scan, correspondences: Correspondences) -> list[Part]:
             continue
         table = correspondences.matches([row["pair"]])
         columns = {name: table[name].to_numpy() for name in ("u_a", "v_a", "u_b", "v_b", "instance")}
-        some = _spread_matches(columns["instance"])
+        some = draw.spread_matches(columns["instance"], N_MATCHES)
         picture = draw.matches_picture(
             scan.camera(row["camera_a"]).rgb(row["frame_a"]),
             scan.camera(row["camera_b"]).rgb(row["frame_b"]),
@@ -496,16 +486,6 @@ def _pair_tiles(scan: Scan, correspondences: Correspondences) -> list[Part]:
         )
         tiles.append({"uri": draw.jpeg_uri(picture), "text": text})
     return tiles
-
-
-def _spread_matches(instance: np.ndarray) -> np.ndarray:
-    """Which matches to draw: chosen by chance, the same each time, every instance getting its turn."""
-    order = np.random.default_rng(0).permutation(len(instance))
-    rank = np.zeros(len(instance), dtype=np.int64)
-    for i in np.unique(instance):
-        mine = order[instance[order] == i]
-        rank[mine] = np.arange(len(mine))
-    return np.sort(order[np.argsort(rank[order], kind="stable")][:N_MATCHES])
 
 
 # Training ------------------------------------------------------------------------------------------------------------

@@ -24,6 +24,8 @@ from bask_data.kinds import (
     Truth,
     VisibleMasks,
 )
+from bask_data.kinds.objects import NeighbourRow, PlaneRow
+from bask_data.kinds.reconstruction import FrameRow, Quality, UnmeasuredRegion
 from tests.datasets import publish_artifact, publish_recording
 from tests.scenes import Box, Scene, View, intrinsics, orbit
 
@@ -117,7 +119,22 @@ def publish_scene(dataset: Dataset, item: str, seen: Views) -> None:
             colors=colors,
             voxel_size=0.004,
             bounds=(-1, -1, -0.1, 1, 1, 0.3),
-            quality={"frames_used": 6, "median_residual_mm": 0.8},
+            quality=Quality(
+                frames=6,
+                frames_of_distinct_views=6,
+                frames_fused=5,
+                frames_without_depth=1,
+                frames_suspect=1,
+                workspace="given",
+                voxel_blocks=99,
+                explained=0.9,
+                residual=0.0001,
+                residual_abs=0.0008,
+                seen_from_behind=0.02,
+            ),
+            frames=[frame_row(i) for i in range(6)],
+            unmeasured=[UnmeasuredRegion(centre=(0.1, 0.2, 0.03), size=(0.08, 0.06, 0.1), volume=2e-4)],
+            warnings=["frame 4 of wrist was left out"],
         ),
     )
     rows = [
@@ -133,10 +150,32 @@ def publish_scene(dataset: Dataset, item: str, seen: Views) -> None:
             support_plane=np.array([0.0, 0, 1, 0]),
             instances=rows,
             warnings=["2 small clusters were dropped"],
+            planes=[
+                PlaneRow(role="support", plane=(0, 0, 1, 0), area_m2=0.5, noise_m=0.0007),
+                PlaneRow(role="structure", plane=(1, 0, 0, -0.4), area_m2=0.1, noise_m=0.001),
+            ],
+            neighbours=[NeighbourRow(a=1, b=2, gap_m=0.011)],
         ),
     )
     publish_artifact(dataset, VisibleMasks, item, lambda out: _write_masks(out, seen))
     publish_artifact(dataset, Correspondences, item, lambda out: _write_matches(out, seen))
+
+
+def frame_row(i_frame: int) -> FrameRow:
+    """Frame 3 does not fit the others, frame 5 measured nothing."""
+    bad, empty = i_frame == 3, i_frame == 5
+    return FrameRow(
+        camera="wrist",
+        frame=i_frame,
+        fused=not empty,
+        suspect=bad,
+        valid_depth=0.0 if empty else 0.9,
+        n_judged=0 if empty else 900,
+        explained=np.nan if empty else 0.2 if bad else 0.95,
+        residual=np.nan if empty else 0.02 if bad else 0.0001,
+        residual_abs=np.nan if empty else 0.03 if bad else 0.0008,
+        from_behind=np.nan if empty else 0.01,
+    )
 
 
 def frame_mesh(seen: Views) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -169,7 +208,7 @@ def _write_masks(out: Path, seen: Views) -> None:
 
 
 def _write_matches(out: Path, seen: Views) -> None:
-    def pairs():
+    with Correspondences.writer(out) as writer:
         for a, b in ((0, 1), (0, 3), (2, 5)):
             v, u = np.nonzero(seen.views[a].instance > 0)
             u, v = u[::20], v[::20]
@@ -178,19 +217,23 @@ def _write_matches(out: Path, seen: Views) -> None:
                 seen.world_from_cameras[a], unproject(uv, seen.views[a].depth[v, u].astype(float), seen.K)
             )
             other = project(transform(invert_rigid(seen.world_from_cameras[b]), points), seen.K)[0]
-            row = PairRow(
-                camera_a="wrist", frame_a=a, camera_b="wrist", frame_b=b, n_attempts=500, distance=0.3, angle=0.5
-            )
             columns = {"u_a": uv[:, 0], "v_a": uv[:, 1], "u_b": other[:, 0], "v_b": other[:, 1]}
-            yield (
-                row,
+            writer.append(
+                PairRow(
+                    camera_a="wrist",
+                    frame_a=a,
+                    camera_b="wrist",
+                    frame_b=b,
+                    n_attempts=len(u) + 124,
+                    distance=0.1 * b,
+                    angle=0.25 * b,
+                ),
                 {
                     "instance": seen.views[a].instance[v, u],
                     **{name: x.astype(np.float32) for name, x in columns.items()},
                 },
+                {(1, "hidden_in_b"): 100, (2, "hidden_in_b"): 7, (1, "outside_b"): 15, (2, "cycle"): 2},
             )
-
-    Correspondences.write(out, pairs(), {"occluded": 321, "outside_image": 45, "cycle": 6})
 
 
 def picked(scan: Views, i_frame: int, instance: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,134 @@
+"""Recordings for the Rerun viewer: a dataset's frames, surfaces, objects, masks, matches and keypoints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from bask_data.dataset import Dataset
+from bask_data.errors import BaskError, MissingDependency, UsageError, WouldOverwrite
+
+__all__ = ["Choice", "Shown", "save_recording"]
+
+APPLICATION = "bask-data"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What of a dataset to show.
+
+    Args:
+        items: scenes and demonstrations by name.
+        every: shows each so many-th frame.
+        n_pairs: most pairs of views whose matches are shown, for each scene.
+        variant: of the keypoints.
+    """
+
+    items: Sequence[str]
+    every: int = 1
+    n_pairs: int = 40
+    variant: str = "main"
+
+
+@dataclass
+class Shown:
+    """What of one item went into a recording.
+
+    Args:
+        frames: number of frames shown of each camera.
+        layers: what is there to be seen, in a few words each.
+        missing: what could be there and is not, and why.
+    """
+
+    frames: dict[str, int] = field(default_factory=dict)
+    layers: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+
+
+def require_rerun() -> None:
+    """Refuse to begin without the package; `MissingDependency`."""
+    try:
+        import rerun  # noqa: F401
+    except ImportError:
+        raise MissingDependency(
+            "view", "rerun", expected="the Rerun SDK", got="none", fix="pip install 'bask-data[view]'"
+        ) from None
+
+
+def save_recording(dataset: Dataset, file: Path, choice: Choice, *, force: bool = False) -> dict[str, Shown]:
+    """Write a dataset's items as one recording; frames go to the file as they come.
+
+    Args:
+        force: replace a file of that name. It is replaced in one step, when the new one is whole.
+
+    Returns:
+        What was shown of each item.
+
+    Raises:
+        MissingDependency: Rerun is not installed.
+        WouldOverwrite: the file exists.
+        UsageError: none of the items has anything to show, or the file's name is not one the viewer opens.
+        BadData: an artifact cannot be read, or does not fit the others.
+        BaskError: the file cannot be written.
+    """
+    require_rerun()
+    if file.suffix != ".rrd":
+        raise UsageError(file, "--save", expected="a name that ends in .rrd", got=file.name)
+    if file.is_dir():
+        raise UsageError(file, "--save", expected="a file", got="a directory")
+    if file.exists() and not force:
+        raise WouldOverwrite(file, "", expected="no file", got="one", fix="--force replaces it.")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = file.with_name(f".unfinished.{file.name}")
+    try:
+        shown = _write(dataset, unfinished, choice)
+        unfinished.replace(file)
+    except (RuntimeError, OSError) as error:
+        fix = "see that the disk has room."
+        raise BaskError(file, "", expected="a file that takes all", got=str(error)[:200], fix=fix) from error
+    finally:
+        with suppress(OSError):
+            unfinished.unlink()
+    return shown
+
+
+def _write(dataset: Dataset, file: Path, choice: Choice) -> dict[str, Shown]:
+    import rerun as rr
+
+    from bask_data.view.drawing import draw_item
+    from bask_data.view.layout import layout
+    from bask_data.view.sheet import FLUSH_SECONDS
+
+    # Else Rerun answers what it cannot take with a line in the log, and leaves it out of the recording.
+    rr.set_strict_mode(True)
+    recording = rr.RecordingStream(APPLICATION, recording_id=f"{dataset.file.name}:{','.join(choice.items)}")
+    if not rr.is_enabled(recording):
+        raise UsageError("RERUN", "environment", expected="on, or not set", got="off", fix="unset RERUN")
+    recording.disable_timeline("log_time")
+    recording.save(file)
+    try:
+        drawn = {name: draw_item(recording, dataset, name, choice) for name in choice.items}
+        shown = [one for one in drawn.values() if one.shown.layers]
+        if not shown:
+            fix = "bask-data ingest --help"
+            asked = ", ".join(choice.items)
+            raise UsageError(dataset.root, "", expected="something to show", got=f"nothing of {asked}", fix=fix)
+        recording.send_blueprint(layout(shown))
+        recording.flush(timeout_sec=FLUSH_SECONDS)
+    finally:
+        recording.disconnect()
+    _check_whole(file)
+    return {name: one.shown for name, one in drawn.items()}
+
+
+def _check_whole(file: Path) -> None:
+    """Read the file's table of contents back: a disk that is full at the end is a line in Rerun's log, no error."""
+    from rerun.chunk import RrdReader
+
+    try:
+        n_chunks = len(RrdReader(file).store())
+    except ValueError as error:
+        raise OSError(f"no table of contents: {error}") from error
+    assert n_chunks, "something was drawn"

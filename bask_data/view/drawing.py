@@ -1,0 +1,52 @@
+"""What each item of a dataset looks like in a Rerun recording: one entity for each thing to be shown or hidden.
+
+Every item has a tree of its own, `/<item>`, as items have world frames of their own:
+
+    world/cameras/<camera>/{rgb,depth,masks,truth,keypoints}    world/camera_paths/<camera>
+    world/{surface,instances,boxes}                             world/matches, matches/{images,lines,points}
+    world/{keypoints,spread,keypoint_paths}                     world/{gripper,gripper_path}
+    plots/{spread,gripper_width,action}
+
+Times are `frame`, counted from 0, `time` in seconds and, for matches, `pair`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bask_data.dataset import Dataset
+from bask_data.kinds import Scan
+from bask_data.report.figures import find_recording
+from bask_data.view import Choice, Shown
+from bask_data.view.demonstrations import draw_demonstration
+from bask_data.view.frames import draw_frames
+from bask_data.view.matches import draw_matches
+from bask_data.view.scenes import draw_scene, first_eye, measured_points, support_plane
+from bask_data.view.sheet import Drawn, Sheet, reading
+
+if TYPE_CHECKING:
+    import rerun
+
+
+def draw_item(recording: rerun.RecordingStream, dataset: Dataset, name: str, choice: Choice) -> Drawn:
+    """Put everything that was made of an item into the recording."""
+    sheet, drawn = Sheet(recording, name), Drawn(name, Shown())
+    source = find_recording(dataset, name)
+    points = np.zeros((0, 3))
+    if name in dataset.file.scenes:
+        points = draw_scene(sheet, drawn, dataset, name)
+    if source is None:
+        drawn.shown.missing.append("frames (bask-data ingest)")
+    else:
+        with reading(source):
+            draw_frames(sheet, drawn, dataset, name, source, choice)
+            drawn.eye = first_eye(
+                points if len(points) else measured_points(source), source, support_plane(dataset, name)
+            )
+    if isinstance(source, Scan):
+        draw_matches(sheet, drawn, dataset, name, source, choice.n_pairs)
+    if name in dataset.file.demonstrations:
+        draw_demonstration(sheet, drawn, dataset, name, source, choice)
+    return drawn

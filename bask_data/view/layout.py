@@ -1,0 +1,97 @@
+"""The viewer's layout: the scene on the left, images and plots on the right, time below; a tab for each item."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from bask_data.view.sheet import Drawn
+
+BACKGROUND = [24, 26, 30]
+"""Of the space: light surfaces and coloured lines stand out from it, whatever the viewer's theme."""
+
+
+def layout(items: Sequence[Drawn]) -> Any:
+    """A blueprint in which everything that matters is seen at once, and the rest is a click away."""
+    import rerun.blueprint as rrb
+
+    return rrb.Blueprint(
+        rrb.Tabs(*[_item(item) for item in items]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline="frame", loop_mode="all"),
+    )
+
+
+def _item(item: Drawn) -> Any:
+    import rerun.blueprint as rrb
+
+    right = _right(item)
+    parts = [_scene(item), *([rrb.Vertical(*right)] if right else [])]
+    return rrb.Horizontal(*parts, column_shares=[5, 4][: len(parts)], name=item.name)
+
+
+def _scene(item: Drawn) -> Any:
+    """The surface, or the same by instance; where there is none, the points of the measured depth."""
+    import rerun.blueprint as rrb
+
+    tabs = []
+    if "surface" in item.layers:
+        tabs.append(_space(item, "Surface", hidden=("instances",), depth=False))
+    if "instances" in item.layers:
+        tabs.append(_space(item, "Instances", hidden=("surface", "matches"), depth=False))
+    if "frames" in item.layers:
+        tabs.append(_space(item, "Measured depth", hidden=("surface", "instances", "matches", "boxes"), depth=True))
+    return rrb.Tabs(*tabs, active_tab=0)
+
+
+def _space(item: Drawn, name: str, *, hidden: Sequence[str], depth: bool) -> Any:
+    import rerun.blueprint as rrb
+
+    root = f"/{item.name}/world"
+    overrides: dict[Any, Any] = {f"{root}/{layer}": rrb.EntityBehavior(visible=False) for layer in hidden}
+    for camera in item.cameras:
+        place = f"{root}/cameras/{_escaped(camera)}"
+        for layer in ("truth", "keypoints", *(() if depth else ("depth",))):
+            overrides[f"{place}/{layer}"] = rrb.EntityBehavior(visible=False)
+    eye = None
+    if item.eye is not None:
+        eye = rrb.EyeControls3D(position=item.eye.position, look_target=item.eye.target, eye_up=item.eye.up)
+    return rrb.Spatial3DView(
+        origin=root, name=name, overrides=overrides, eye_controls=eye, line_grid=False, background=BACKGROUND
+    )
+
+
+def _right(item: Drawn) -> list[Any]:
+    import rerun.blueprint as rrb
+
+    parts: list[Any] = []
+    if item.cameras:
+        parts.append(rrb.Tabs(*[_images(item, camera) for camera in item.cameras], active_tab=0))
+    if "matches" in item.layers:
+        parts.append(rrb.Spatial2DView(origin=f"/{item.name}/matches", name="Matches"))
+    plots = [
+        rrb.TimeSeriesView(origin=f"/{item.name}/plots/{layer}", name=title)
+        for layer, title in (("gripper_width", "Gripper"), ("spread", "Spread of the keypoints"), ("action", "Action"))
+        if layer in item.layers
+    ]
+    return [*parts, *([rrb.Tabs(*plots, active_tab=0)] if plots else [])]
+
+
+def _images(item: Drawn, camera: str) -> Any:
+    import rerun.blueprint as rrb
+
+    origin = f"/{item.name}/world/cameras/{_escaped(camera)}"
+    hidden: dict[Any, Any] = {f"{origin}/truth": rrb.EntityBehavior(visible=False)}
+    colour = [f"$origin/{layer}" for layer in ("rgb", "masks", "truth", "keypoints")]
+    return rrb.Horizontal(
+        rrb.Spatial2DView(origin=origin, contents=colour, name=camera, overrides=hidden),
+        rrb.Spatial2DView(origin=origin, contents=["$origin/depth"], name=f"{camera}, depth"),
+        name=camera,
+    )
+
+
+def _escaped(name: str) -> str:
+    import rerun as rr
+
+    return rr.escape_entity_path_part(name)

@@ -1,0 +1,147 @@
+"""What all drawing into a Rerun recording shares: entities of one item, times, and distrust of what was read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from bask_data.artifact import Artifact
+from bask_data.errors import BadData, BaskError
+from bask_data.report.pictures import N_COLOURS, Colour, palette
+from bask_data.view import Shown
+
+if TYPE_CHECKING:
+    import rerun
+
+CORNER = 0.5
+"""Rerun counts pixels from the corner of the first one, we from its centre."""
+JPEG_QUALITY = 85
+N_FRAMES_UNFLUSHED = 8
+FLUSH_SECONDS = 120
+"""Without a limit, Rerun may wait for ever for a writer that died of a full disk."""
+ROBOT = 255
+"""Label of the gripper in the truth of simulated recordings."""
+GREY: Colour = (150, 150, 150)
+ORANGE: Colour = (240, 150, 40)
+
+
+@dataclass(frozen=True)
+class Eye:
+    """Where to look from at first, world frame, metres."""
+
+    position: np.ndarray
+    target: np.ndarray
+    up: np.ndarray
+
+
+@dataclass
+class Drawn:
+    """One item in the recording.
+
+    Args:
+        layers: entities that exist, by their first name below the item or its world.
+    """
+
+    name: str
+    shown: Shown
+    cameras: list[str] = field(default_factory=list)
+    layers: set[str] = field(default_factory=set)
+    eye: Eye | None = None
+
+    def note(self, there: bool, layer: str, otherwise: str) -> None:
+        """Say that a layer is there, or what would make it, or why it is not."""
+        if there:
+            self.layers.add(layer)
+            self.shown.layers.append(layer)
+        else:
+            self.shown.missing.append(f"{layer} ({otherwise})")
+
+
+class Sheet:
+    """The part of a recording that belongs to one item."""
+
+    def __init__(self, recording: rerun.RecordingStream, item: str) -> None:
+        self._recording, self.item = recording, item
+        self._n_frames = 0
+
+    def log(self, place: Sequence[str], *archetypes: Any) -> None:
+        """Add to an entity at the current time."""
+        self._recording.log([self.item, *place], *archetypes)
+
+    def fix(self, place: Sequence[str], *archetypes: Any) -> None:
+        """Add to an entity for all times."""
+        self._recording.log([self.item, *place], *archetypes, static=True)
+
+    @contextmanager
+    def at(self, *, frame: int, seconds: float | None = None, pair: int | None = None) -> Iterator[None]:
+        """What is logged within belongs to this frame."""
+        self._recording.set_time("frame", sequence=frame)
+        if seconds is not None:
+            self._recording.set_time("time", duration=seconds)
+        if pair is not None:
+            self._recording.set_time("pair", sequence=pair)
+        yield
+        self._recording.reset_time()
+        self._n_frames += 1
+        if self._n_frames % N_FRAMES_UNFLUSHED == 0:
+            # Rerun would take frames faster than it writes them, and keep the rest in memory.
+            self._recording.flush(timeout_sec=FLUSH_SECONDS)
+
+
+@contextmanager
+def reading(artifact: Artifact) -> Iterator[None]:
+    """Whatever an artifact that does not hold together makes the libraries raise, as an error that names it."""
+    try:
+        yield
+    except BaskError:
+        raise
+    except (LookupError, ValueError, ArithmeticError, TypeError, AttributeError, cv2.error) as error:
+        raise BadData(
+            artifact.path,
+            "",
+            expected="arrays and names that belong together",
+            got=f"{type(error).__name__}: {str(error)[:200]}",
+            fix="run `bask-data validate`.",
+        ) from error
+
+
+def expect(where: Any, field: str, array: np.ndarray, shape: tuple[int | None, ...], kind: str) -> np.ndarray:
+    """The array, if it has this shape (None: any) and sort of number (of "f", "u", "i"), and is finite."""
+    fits = len(array.shape) == len(shape) and all(
+        want is None or have == want for have, want in zip(array.shape, shape, strict=True)
+    )
+    if not fits or array.dtype.kind not in kind:
+        wanted = " x ".join("any" if want is None else str(want) for want in shape)
+        raise BadData(where, field, expected=f"shape {wanted}", got=f"{array.shape} {array.dtype}")
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise BadData(where, field, expected="finite numbers", got="NaN or infinity")
+    return array
+
+
+def name_labels(sheet: Sheet, places: Sequence[Sequence[str]], names: dict[int, str]) -> None:
+    """Colours and names of labels, for everything below these entities."""
+    import rerun as rr
+
+    context = [rr.AnnotationInfo(id=0, label="background", color=(0, 0, 0, 0))]
+    for label, text in sorted(names.items()):
+        if 0 < label <= ROBOT:
+            context.append(rr.AnnotationInfo(id=label, label=text or f"object {label}", color=label_colour(label)))
+    for place in places:
+        sheet.fix(place, rr.AnnotationContext(context))
+
+
+def label_colour(label: int) -> Colour:
+    """The colour of an instance or label, as reports have it."""
+    return ORANGE if label == ROBOT else palette(N_COLOURS)[(label - 1) % N_COLOURS]
+
+
+def jpeg(rgb: np.ndarray) -> bytes:
+    """The image (h, w, 3) uint8 in a tenth of its bytes."""
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    assert done, "OpenCV encodes any 8-bit image"
+    return data.tobytes()
