@@ -36,8 +36,8 @@ SMALLEST_SUPPORT = 0.15
 BELOW_SHARE = 0.5
 """A plane is no support when the surface below it measures this share of it: it is the top of an object then, whose
 sides are below."""
-WALL_SHARE = 0.7
-"""A wall runs along this share of the scene at least; the front of a box that fills a bin may reach two thirds."""
+WALL_SHARE = 0.6
+"""A wall runs along this share of the scene at least; a book that leans on one in a small bin reaches half."""
 BEHIND_SHARE = 0.05
 """Of the scene's surface, at most, behind a wall. A box has its top and the table behind its front."""
 UPRIGHT = np.sin(np.deg2rad(15.0))
@@ -169,7 +169,10 @@ def support_of_scene(
     rivals = [
         one
         for i, one in enumerate(planes)
-        if i != best and not doubts[i] and preference(one, guess_up) > RIVAL_SHARE * preference(planes[best], guess_up)
+        if i != best
+        and not doubts[i]
+        and preference(one, guess_up) > RIVAL_SHARE * preference(planes[best], guess_up)
+        and is_another(one, planes[best], surface, inlier)
     ]
     warnings = [
         f"a second plane, {rounded(one)}, holds {one.area:.3f} m2 beside the support's "
@@ -177,6 +180,13 @@ def support_of_scene(
         for one in rivals
     ]
     return planes[best], tuple([doubts[best]] if doubts[best] else []) + tuple(warnings)
+
+
+def is_another(plane: Plane, best: Plane, surface: Surface, inlier: float) -> bool:
+    """Whether most of a plane's surface is off another's. Noise of a large table holds tilted planes of its own."""
+    mine = on_plane(surface.points, surface.normals, plane.plane, inlier)
+    off = np.abs(height(surface.points[mine], best.plane)) > 2 * inlier
+    return bool(surface.areas[mine][off].sum() > 0.5 * surface.areas[mine].sum())
 
 
 def doubt(plane: Plane, surface: Surface, inlier: float) -> str:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from bask_data.core.background import Background, Support, Surface, find_background
 from bask_data.core.clusters import dbscan
@@ -23,6 +23,12 @@ FOOT_FACING = np.cos(np.deg2rad(60.0))
 """Surface steeper than this against the support is the side of an object, however low it is. Fusion rounds the corner
 between the two; on analytic scenes masks were best at 60 degrees (mean and worst IoU 0.986 and 0.970 at 40, 0.987 and
 0.977 at 60, 0.981 and 0.955 at 75)."""
+HOLLOW = 0.01
+"""Metres inside the convex hull from which surface counts as a hollow; half a centimetre would be noise."""
+CONCAVE_SHARE = 0.25
+"""From here an object may be several that touch. On labelled single views of cluttered tables all seven clusters of two
+or three objects had 0.32 to 0.65, all thirty of one object 0.05 or less; but a bowl or a bin is hollow, too."""
+N_HULL_POINTS = 2000
 FLOATING = 0.03
 """Metres between the support and the lowest object beyond which the support is doubted."""
 
@@ -35,6 +41,7 @@ class Instance:
         area: square metres of surface.
         centroid: centre of the surface, metres, world.
         extents: edges of its box along the world's axes, metres.
+        concave_share: of its surface, what is more than `HOLLOW` inside its convex hull.
     """
 
     id: int
@@ -42,6 +49,7 @@ class Instance:
     area: float
     centroid: tuple[float, float, float]
     extents: tuple[float, float, float]
+    concave_share: float
 
 
 @dataclass(frozen=True)
@@ -276,8 +284,20 @@ def describe(
         mine = labels == instance
         x, y, z = np.average(vertices[mine], axis=0, weights=areas[mine]).tolist()
         dx, dy, dz = np.ptp(vertices[mine], axis=0).tolist()
-        rows.append(Instance(instance, int(mine.sum()), float(areas[mine].sum()), (x, y, z), (dx, dy, dz)))
+        concave = concave_share(vertices[mine].astype(np.float64), areas[mine])
+        rows.append(Instance(instance, int(mine.sum()), float(areas[mine].sum()), (x, y, z), (dx, dy, dz), concave))
     return rows
+
+
+def concave_share(points: Float[ndarray, "n 3"], areas: Float[ndarray, "n"]) -> float:
+    """Share of a surface that is more than `HOLLOW` inside its convex hull, by some of its points."""
+    try:
+        facets = ConvexHull(points).equations
+    except (QhullError, ValueError):  # Flat, or fewer than four points.
+        return 0.0
+    some = slice(None, None, -(-len(points) // N_HULL_POINTS))
+    depth = -(points[some] @ facets[:, :3].T + facets[:, 3]).max(axis=1)
+    return float(areas[some][depth > HOLLOW].sum() / max(areas[some].sum(), 1e-12))
 
 
 def neighbours(

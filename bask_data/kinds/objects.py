@@ -21,6 +21,8 @@ class InstanceRow(Metadata):
         area_m2: surface in square metres.
         centroid: mean vertex, metres, world frame.
         extents: size of the axis-aligned box in the world frame, metres.
+        concave_share: share of its surface that is more than 1 cm inside its convex hull: next to 0 for a box or a
+            can; 0.25 or more for something hollow, and for several objects that touch.
     """
 
     id: int
@@ -29,6 +31,7 @@ class InstanceRow(Metadata):
     area_m2: float
     centroid: tuple[float, float, float]
     extents: tuple[float, float, float]
+    concave_share: float = 0.0
 
 
 class PlaneRow(Metadata):

@@ -111,6 +111,7 @@ def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, o
                 area_m2=one.area,
                 centroid=one.centroid,
                 extents=one.extents,
+                concave_share=one.concave_share,
             )
             for one, name in zip(split.instances, names, strict=False)
         ],
@@ -145,6 +146,8 @@ def _unit(name: str, values: tuple[float, ...] | None) -> np.ndarray | None:
 
 def _warnings(split: Split, params: ObjectsParams) -> list[str]:
     """What a person should look at, a sentence each."""
+    from bask_data.core.objects import CONCAVE_SHARE
+
     told = list(split.warnings)
     if split.n_too_large:
         told.append(
@@ -158,6 +161,9 @@ def _warnings(split: Split, params: ObjectsParams) -> list[str]:
             f"no object was found ({split.n_too_small} clusters smaller than {params.min_area} m2): look at the mesh, "
             "then see --plane, --up, --above and --min-area"
         )
+    if hollow := [one for one in split.instances if one.concave_share >= CONCAVE_SHARE]:
+        which = ", ".join(f"{one.id} ({one.concave_share:.0%} of it lies inside its hull)" for one in hollow)
+        told.append(f"hollow, or several objects that touch: {which}")
     if split.neighbours:
         pairs = ", ".join(f"{one.a} and {one.b} ({100 * one.gap:.1f} cm)" for one in split.neighbours)
         told.append(f"objects that nearly touch: {pairs}")

@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bask_data.core.background import Surface, find_background
+from bask_data.core.background import Surface, find_background, is_another
 from bask_data.core.objects import vertex_normals_and_areas
+from bask_data.core.planes import Plane
 from tests.meshes import THREE, block, joined, sheet, table
 
 HEIGHT = 0.25
@@ -114,3 +115,14 @@ def test_without_a_support_everything_with_a_surface_is_foreground():
     assert found.foreground[:-1].all()
     assert not found.foreground[-1]
     assert found.support is None
+
+
+def test_a_tilted_plane_through_a_table_is_the_same_table_and_a_level_shelf_is_another():
+    shelf = sheet((-0.34, 0.0, 0.2), (0.68, 0, 0), (0, 0.2, 0), 0.004)
+    vertices, triangles, _ = joined([table([])[:2], shelf])
+    surface = Surface(vertices, *vertex_normals_and_areas(vertices, triangles))
+    best, tilted, level = (
+        Plane(np.array(one, float), 0.0, 0.1) for one in ([0, 0, 1, 0], [0.03, 0, 0.9996, 0], [0, 0, 1, -0.2])
+    )
+    assert not is_another(tilted, best, surface, 0.01)
+    assert is_another(level, best, surface, 0.01)

@@ -214,3 +214,33 @@ def test_vertex_areas_sum_to_the_surface_and_normals_face_the_seen_side():
     np.testing.assert_allclose(normals[:-1][top], np.tile([0, 0, 1], (top.sum(), 1)), atol=1e-6)
     assert not normals[-1].any()
     assert areas[-1] == 0
+
+
+def test_objects_that_touch_are_far_from_convex_and_a_box_is_not():
+    # A low block and a tower that touches it become one; the third stands alone.
+    blocks = [(-0.22, -0.1, (0.12, 0.12, 0.03)), (-0.1, -0.1, (0.05, 0.12, 0.15)), (0.1, 0.0, (0.08, 0.08, 0.1))]
+    result = split(*table(blocks)[:2])
+    joined_share, alone_share = (one.concave_share for one in result.instances)
+    assert joined_share > objects.CONCAVE_SHARE
+    assert alone_share == 0
+    assert objects.concave_share(np.zeros((9, 3)), np.ones(9)) == 0
+
+
+def test_pairs_within_reach_are_neighbours_with_their_gap():
+    blocks = [(-0.2, 0.0, (0.05, 0.05, 0.05)), (-0.125, 0.0, (0.05, 0.05, 0.06)), (0.0, 0.0, (0.05, 0.05, 0.07))]
+    result = split(*table(blocks)[:2], eps=0.02)
+    # Numbered by surface: the one in the middle is 2.5 cm from the small one and 7.5 cm from the large one.
+    [pair] = result.neighbours
+    assert (pair.a, pair.b) == (2, 3)
+    assert pair.gap == pytest.approx(0.025, abs=1e-4)
+    assert split(*table(blocks)[:2], eps=0.012).neighbours == ()
+
+
+def test_a_support_that_nothing_stands_on_is_told():
+    vertices, triangles, truth = table(THREE)
+    vertices[truth > 0, 2] += 0.1
+    floating = triangles[(truth[triangles] > 0).all(axis=1) | (truth[triangles] == 0).all(axis=1)]
+    result = split(vertices, floating)
+    assert result.warnings == (
+        "nothing stands on the support found: the lowest object begins 10 cm above it; give `plane` or `up`",
+    )
