@@ -143,6 +143,10 @@ class Artifact:
             field, expected, came = first_fault(error)
             raise BadData(self.path / "zarr.json", f"bask.{field}", expected=expected, got=came) from error
 
+    def summary(self) -> list[str]:
+        """Lines that a person reads when the artifact was made; most kinds have none."""
+        return []
+
     @property
     def camera_names(self) -> list[str]:
         """Names of the cameras, sorted; none for kinds without cameras."""

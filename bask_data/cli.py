@@ -258,6 +258,7 @@ def _finish(command: str, outcomes: Sequence[Outcome], as_json: bool, next_comma
                 key: getattr(outcome, key)
                 for key in ("label", "kind", "item", "variant", "path", "status", "why", "seconds", "digest")
             }
+            | {"metadata": _attributes(outcome)}
             for outcome in outcomes
         ]
         print(json.dumps({"command": command, "outcomes": rows, **more}, indent=2))
@@ -276,13 +277,25 @@ def _finish(command: str, outcomes: Sequence[Outcome], as_json: bool, next_comma
         say(f"next: {next_command}")
 
 
-def _show_warnings(outcome: Outcome) -> None:
-    """What a stage wants a person to know."""
-    if outcome.status in ("made", "up to date") and outcome.path:
-        from bask_data.artifact import Artifact
+def _attributes(outcome: Outcome) -> dict[str, Any]:
+    """What the artifact states of itself; empty where there is none."""
+    if outcome.status not in ("made", "up to date") or not outcome.path:
+        return {}
+    from bask_data.artifact import Artifact
 
-        for warning in Artifact(outcome.path).attributes.get("warnings", []):
-            say(f"  note: {outcome.label}: {warning}")
+    return Artifact(outcome.path).attributes
+
+
+def _show_findings(outcome: Outcome) -> None:
+    """What a stage wants a person to know."""
+    from bask_data.kinds import KINDS
+
+    if outcome.status == "made":
+        [kind] = [kind for kind in KINDS if kind.kind == outcome.kind]
+        for line in kind(outcome.path).summary():
+            say(f"              {line}")
+    for warning in _attributes(outcome).get("warnings", []):
+        say(f"  note: {outcome.label}: {warning}")
 
 
 def _add_stage(stage: Stage) -> None:
@@ -350,7 +363,7 @@ def _add_stage(stage: Stage) -> None:
         with shown_progress(), _executor(options["jobs"], options["cluster"]) as executor:
             for outcome in run(tasks, executor=executor, force=force, dry_run=dry_run):
                 show_outcome(outcome)
-                _show_warnings(outcome)
+                _show_findings(outcome)
                 outcomes.append(outcome)
         if variant != "main" and not dry_run and any(outcome.status == "made" for outcome in outcomes):
             dataset.add_variant(stage.makes, variant, Variant(inputs=chosen))
@@ -506,7 +519,7 @@ def run_all(
         for tasks in planned:
             for outcome in run(tasks, executor=executor, force=force, dry_run=dry_run):
                 show_outcome(outcome)
-                _show_warnings(outcome)
+                _show_findings(outcome)
                 outcomes.append(outcome)
     _finish("run", outcomes, json_, f"bask-data report {_quoted(root)}")
 
@@ -700,13 +713,14 @@ def report(
     json_: Json = False,
 ) -> None:
     """Write one HTML page with pictures of everything the dataset holds, and how good it is."""
-    from bask_data.report import summarise, write_report
+    from bask_data.report import measure, summarise, write_report
 
     dataset = Dataset(root)
     with shown_progress():
-        file = write_report(dataset, out or root / "report.html")
-    if json_:
-        print(json.dumps({"command": "report", "file": str(file), **summarise(dataset)}, indent=2))
+        measured = measure(dataset)
+        file = write_report(dataset, out or root / "report.html", measured)
+        if json_:
+            print(json.dumps({"command": "report", "file": str(file), **summarise(dataset, measured)}, indent=2))
     say(f"made {file}  (open it in a browser)")
 
 

@@ -15,8 +15,8 @@ SLANT = np.cos(np.deg2rad(75.0))
 MAX_CANDIDATES = 200_000
 """Pairs looked at, at most; of the frames of a long scan that is a random sample."""
 ANGLE_BINS = np.deg2rad([15.0, 30.0, 60.0])
-SCALE_BINS = np.log2([0.71, 1.41])
-TURN_BINS = np.deg2rad([-30.0, 30.0])
+SCALE_BINS = np.log2([0.71, 0.87, 1.15, 1.41])
+TURN_BINS = np.deg2rad([-90.0, -30.0, 30.0, 90.0])
 """Edges of the classes over which pairs are spread: view angle, change of scale, turn about the viewing axis."""
 
 

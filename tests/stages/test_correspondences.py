@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import get_args
@@ -8,7 +9,9 @@ import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
+from typer.testing import CliRunner
 
+from bask_data.cli import app
 from bask_data.core.correspondences import REJECTIONS, Matches
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
 from bask_data.dataset import Dataset
@@ -125,7 +128,6 @@ def test_every_attempt_is_accounted_for(dataset):
     numbers, pairs, rejections = result.metadata, result.pairs().to_pylist(), result.rejections()
     assert sum(row["n_attempts"] for row in pairs) == numbers.n_attempts
     assert numbers.n_matches + sum(numbers.rejections.values()) == numbers.n_attempts
-    assert numbers.warnings == []
     assert 0 not in rejections["n"].to_pylist()
     for row in pairs:
         mine = rejections.filter(pc.field("pair") == row["pair"])
@@ -150,6 +152,20 @@ def test_the_summary_says_what_became_of_the_pixels(dataset):
         "match",
     ]
     assert {row.split()[-1]: int(row.split()[0]) for row in rows[1:]} == result.metadata.rejections
+
+
+def test_the_command_shows_the_table_and_has_it_as_json(tmp_path, cameras):
+    dataset = dataset_of(tmp_path / "d", cameras[:5])
+    ended = CliRunner().invoke(app, ["correspondences", str(dataset.root), "--json"])
+    assert ended.exit_code == 0, ended.stderr
+    result = Correspondences(dataset.path(Correspondences, "a"))
+    shown = [line.strip() for line in ended.stderr.splitlines()]
+    assert all(line.strip() in shown for line in result.summary())
+    [outcome] = json.loads(ended.stdout)["outcomes"]
+    assert outcome["metadata"]["rejections"] == result.metadata.rejections
+    again = CliRunner().invoke(app, ["correspondences", str(dataset.root), "--json"])
+    assert not any(line.strip() in again.stderr for line in result.summary())
+    assert json.loads(again.stdout)["outcomes"][0]["metadata"] == outcome["metadata"]
 
 
 def test_a_row_group_holds_whole_pairs(dataset, monkeypatch):
@@ -211,7 +227,7 @@ def test_objects_without_matches_are_named_with_the_reason(tmp_path, cameras):
     in_front = [np.where(image.instance == 1, np.float32(0.2), image.depth) for image in images]
     result = made(dataset_of(tmp_path / "d", cameras, depth=in_front))
     assert result.metadata.n_matches > 0
-    [warning] = result.metadata.warnings
+    *_, warning = result.metadata.warnings
     assert warning == "object 1 has no match: no pair of frames shows it twice, clear of its mask's edges"
 
 
