@@ -33,8 +33,9 @@ FARTHEST = 1e3
 GROWTH = 1.25
 """Room made when a volume turns out too small, as a multiple of what it needs. Open3D alone would double it."""
 
-ROOM = 1.1
-"""Blocks reserved for each that is expected: a tenth more memory against a pause in which old and new both exist."""
+ROOM, LEAST_ROOM = 1.1, 256
+"""Blocks reserved for each that is expected, and in addition: a tenth more memory against a pause in which old and new
+both exist."""
 
 EXTRACTION_BYTES = 10_000
 """Held per block while the mesh is extracted: Open3D's index of the vertices on a block's edges, 16 bytes a voxel, and
@@ -98,12 +99,17 @@ class Volume:
         self.n_integrated = 0
         self.n_grown = 0
         self.max_blocks = max_blocks
-        self._grid = _grid(voxel_size, n_blocks)
+        self._grid = _grid(voxel_size, room_for(n_blocks))
 
     @property
     def n_blocks(self) -> int:
         """Voxel blocks in use."""
         return int(self._grid.hashmap().size())
+
+    @property
+    def capacity(self) -> int:
+        """Voxel blocks there is memory for."""
+        return int(self._grid.hashmap().capacity())
 
     def integrate(
         self,
@@ -133,35 +139,39 @@ class Volume:
             blocks = blocks[from_numpy(blocks_inside(blocks.numpy(), self.voxel_size, self.bounds))]
         if blocks.shape[0] == 0:
             return False
-        self._make_room(blocks)
-        self._grid.integrate(
-            blocks,
-            view.depth,
-            rgb_image,
-            view.K,
-            view.K,
-            view.camera_from_grid,
-            1.0,
-            FARTHEST,
-            self.truncation_voxels,
-        )
+        at_once = self._make_room(blocks)
+        for begin in range(0, blocks.shape[0], at_once):
+            self._grid.integrate(
+                blocks[begin : begin + at_once],
+                view.depth,
+                rgb_image,
+                view.K,
+                view.K,
+                view.camera_from_grid,
+                1.0,
+                FARTHEST,
+                self.truncation_voxels,
+            )
         self.n_integrated += 1
         return True
 
-    def _make_room(self, blocks: o3d.core.Tensor) -> None:
-        """Grow before Open3D would: it doubles the table, whatever the memory."""
+    def _make_room(self, blocks: o3d.core.Tensor) -> int:
+        """Grow if need be; the number of these blocks that may be integrated at once.
+
+        Open3D takes every block it is handed for a new one. When its table could not hold them all it copies the table
+        to one of twice the size, which takes seconds and three times the memory, though most of the blocks are there.
+        """
         table = self._grid.hashmap()
-        n_most = table.capacity() if self.max_blocks is None else min(table.capacity(), self.max_blocks)
-        if table.size() + blocks.shape[0] <= n_most:
-            return
+        if table.size() + blocks.shape[0] <= table.capacity():
+            return int(blocks.shape[0])
         n_needed = int(table.size() + np.count_nonzero(~table.find(blocks)[1].numpy()))
         if self.max_blocks is not None and n_needed > self.max_blocks:
             raise VolumeTooLarge(n_needed)
-        if n_needed <= table.capacity():
-            return
-        n_room = int(np.ceil(n_needed * GROWTH))
-        table.reserve(n_room if self.max_blocks is None else min(n_room, self.max_blocks))
-        self.n_grown += 1
+        if n_needed + LEAST_ROOM > table.capacity():
+            n_grown = int(np.ceil(n_needed * GROWTH))
+            table.reserve(room_for(n_grown if self.max_blocks is None else min(n_grown, self.max_blocks)))
+            self.n_grown += 1
+        return int(table.capacity()) - n_needed
 
     def views_needed(self, min_views: int, least_views: int = 1) -> int:
         """Frames that must have measured a voxel for it to be surface; see `mesh`."""
@@ -298,6 +308,11 @@ def coarsening(blocks: Int32[ndarray, "n 3"], factor: float, truncation_voxels: 
     n_holding = len(np.unique(np.floor(blocks / factor).astype(np.int32), axis=0))
     thickness = 2 * truncation_voxels / BLOCK_RESOLUTION
     return n_holding / len(blocks) * (1 + thickness) / (1 + thickness / factor)
+
+
+def room_for(n_blocks: int) -> int:
+    """Size of the table in which so many blocks are expected."""
+    return int(np.ceil(n_blocks * ROOM)) + LEAST_ROOM
 
 
 def peak_bytes(n_blocks: int) -> int:

@@ -329,8 +329,7 @@ def _fused(scan: Scan, frames: list[FrameOfCamera], survey: _Survey, params: Rec
     from bask_data.core import depth, fit, tsdf
 
     most = _most_blocks(survey, params)
-    room = min(most, math.ceil(survey.n_blocks * tsdf.ROOM) + 1)
-    volume = tsdf.Volume(params.voxel_size, params.truncation, survey.bounds, room, most)
+    volume = tsdf.Volume(params.voxel_size, params.truncation, survey.bounds, survey.n_blocks, most)
     fine = set(_spread(len(frames), N_SEARCHED))
     notes = []
     for k, (camera, i_frame) in enumerate(progress(frames, "fusing frames")):
