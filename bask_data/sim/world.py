@@ -165,7 +165,6 @@ class World:
         mujoco = import_mujoco()
         self.data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
 
     def _layout(self) -> Layout:
