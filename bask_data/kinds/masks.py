@@ -17,10 +17,19 @@ if TYPE_CHECKING:
 
 
 class MasksMetadata(Metadata):
-    """Number of instances of the scene, and counts of decided pixels by reason, as the stage documents them."""
+    """Number of instances of the scene, and how their pixels were decided.
+
+    Args:
+        pixels: counts by reason, as the stage documents them.
+        noise: by camera, (a, b): measured depth and mesh differ by a + b z metres (standard deviation); missing where
+            that could not be told.
+        tolerance: by camera, (a, b): they were taken to agree within a + b z metres.
+    """
 
     n_instances: int
     pixels: dict[str, int] = {}
+    noise: dict[str, tuple[float, float]] = {}
+    tolerance: dict[str, tuple[float, float]] = {}
 
 
 class CameraMasks:
@@ -43,6 +52,20 @@ class CameraMasks:
         """The visible instance at each pixel (h, w) uint8; 0 is none."""
         return read_frame(self._instance, i_frame, self.path / "instance")
 
+    def measured(self, i_frame: int) -> np.ndarray:
+        """(h, w) bool: False where an object was a candidate and no depth was measured, so that the label, 0 included,
+        is an inference: leave those pixels out to train on what is certain."""
+        return read_frame(self._measured, i_frame, self.path / "measured") > 0
+
+    @cached_property
+    def _measured(self) -> zarr.Array:
+        return self._group["measured"]  # type: ignore[return-value]
+
+    @cached_property
+    def measured_fraction(self) -> np.ndarray:
+        """(t, k) float32: share of each mask's pixels that were measured, in [0, 1]; NaN where the mask is empty."""
+        return read_all(self._group, "measured_fraction", self.path)
+
     @cached_property
     def visible_fraction(self) -> np.ndarray:
         """(t, k) float32: the share of each instance's projection that is visible, in [0, 1]; NaN where it has none."""
@@ -55,8 +78,17 @@ class VisibleMasks(Artifact):
     kind = "masks"
     scope = "scene"
     metadata_model = MasksMetadata
+    schema_version = 2
     arrays = {
         "{camera}/instance": ArraySpec(("t", "h", "w"), "uint8", "Instance visible at each pixel; 0 is none."),
+        "{camera}/measured": ArraySpec(
+            ("t", "h", "w"),
+            "uint8",
+            "0 where an object was a candidate and no depth was measured, so that `instance` is an inference; else 1.",
+        ),
+        "{camera}/measured_fraction": ArraySpec(
+            ("t", "k"), "float32", "Share of each visible mask's pixels whose `measured` is 1; NaN: empty mask."
+        ),
         "{camera}/visible_fraction": ArraySpec(
             ("t", "k"),
             "float32",
@@ -76,7 +108,7 @@ class VisibleMasks(Artifact):
     @staticmethod
     @contextmanager
     def writer(out: Path, n_instances: int) -> Iterator[MasksWriter]:
-        """Write masks camera by camera, frame by frame; `pixels` may be counted up on the way."""
+        """Write masks camera by camera, frame by frame; `pixels`, `noise` and `tolerance` may be filled on the way."""
         writer = MasksWriter(out, n_instances)
         yield writer
         writer.close()
@@ -91,6 +123,8 @@ class MasksWriter:
         self._group = start(out, VisibleMasks, {"n_instances": n_instances})
         self._cameras: list[CameraMasksWriter] = []
         self.pixels: dict[str, int] = {}
+        self.noise: dict[str, tuple[float, float]] = {}
+        self.tolerance: dict[str, tuple[float, float]] = {}
 
     def camera(self, name: str, n_frames: int, height: int, width: int) -> CameraMasksWriter:
         """Begin one camera."""
@@ -102,7 +136,9 @@ class MasksWriter:
         """Finish all cameras and write the counts."""
         for camera in self._cameras:
             camera.close()
-        checked = MasksMetadata(n_instances=self._n_instances, pixels=self.pixels).model_dump(mode="json")
+        checked = MasksMetadata(
+            n_instances=self._n_instances, pixels=self.pixels, noise=self.noise, tolerance=self.tolerance
+        ).model_dump(mode="json")
         write_group(self._out, {"bask": {"kind": VisibleMasks.kind, "schema": VisibleMasks.schema_version, **checked}})
 
 
@@ -112,19 +148,30 @@ class CameraMasksWriter:
     def __init__(self, group: zarr.Group, name: str, n_frames: int, height: int, width: int, n_instances: int) -> None:
         self._group, self._name, self._n_instances = group, name, n_instances
         self._instance = FrameWriter(group, VisibleMasks, f"{name}/instance", n_frames, (height, width))
+        self._measured = FrameWriter(group, VisibleMasks, f"{name}/measured", n_frames, (height, width))
         self._visible_fraction: list[np.ndarray] = []
+        self._measured_fraction: list[np.ndarray] = []
 
-    def append(self, instance: np.ndarray, visible_fraction: np.ndarray) -> None:
-        """Add a frame: labels (h, w) uint8 and the visible share of each instance (k,)."""
+    def append(self, instance: np.ndarray, visible_fraction: np.ndarray, measured: np.ndarray | None = None) -> None:
+        """Add a frame: labels (h, w) uint8, the visible share of each instance (k,), and where a measurement had a
+        say (h, w) bool; everywhere by default."""
+        import numpy as np
+
+        measured = np.ones(instance.shape, bool) if measured is None else measured
         self._instance.append(instance)
+        self._measured.append(measured.astype(np.uint8))
         self._visible_fraction.append(visible_fraction)
+        n_visible = np.bincount(instance.reshape(-1), minlength=self._n_instances + 1)[1:]
+        n_measured = np.bincount(instance[measured], minlength=self._n_instances + 1)[1:]
+        self._measured_fraction.append(np.where(n_visible > 0, n_measured / np.maximum(n_visible, 1), np.nan))
 
     def close(self) -> None:
         """Write what is buffered."""
         import numpy as np
 
         self._instance.close()
-        table = np.asarray(self._visible_fraction, dtype=np.float32).reshape(
-            len(self._visible_fraction), self._n_instances
-        )
-        write_array(self._group, VisibleMasks, f"{self._name}/visible_fraction", table)
+        self._measured.close()
+        for name in ("visible_fraction", "measured_fraction"):
+            rows: list[np.ndarray] = getattr(self, f"_{name}")
+            table = np.asarray(rows, dtype=np.float32).reshape(len(rows), self._n_instances)
+            write_array(self._group, VisibleMasks, f"{self._name}/{name}", table)

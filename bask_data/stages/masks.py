@@ -15,38 +15,48 @@ from bask_data.stage import Params, progress, stage
 if TYPE_CHECKING:
     import numpy as np
 
+    from bask_data.core.completion import Completion
     from bask_data.core.masks import Surface
 
 N_SURVEYED = 16
-"""Frames a camera is looked at in the search for what is fixed to it."""
+"""Frames a camera is looked at beforehand, to learn its noise, what is fixed to it, and what it saw through."""
 
 
 class MasksParams(Params):
     """What changes the masks."""
 
-    tolerance: float = Field(
-        0.01,
+    tolerance: float | None = Field(
+        None,
         ge=0,
-        description="Measured depth and mesh agree within this, metres, plus the part that grows with depth.",
+        description="Measured depth and mesh agree within this, metres, plus the part that grows with depth. "
+        "Default: from the sensor's noise.",
     )
-    tolerance_per_metre: float = Field(
-        0.02, ge=0, description="Part of that tolerance that grows with depth, metres per metre."
+    tolerance_per_metre: float | None = Field(
+        None,
+        ge=0,
+        description="Part of that tolerance that grows with depth, metres per metre. Default: from the sensor's noise.",
     )
     far: float = Field(10.0, gt=0, description="Depth above this counts as not measured, metres.")
     find_fixed: bool = Field(
         True, description="Look for pixels that show something fixed to the camera (a gripper) and keep masks off them."
     )
+    use_colour: bool = Field(
+        True, description="Keep masks off what hides an object and gives no depth, where its colour is not the mesh's."
+    )
+    fill_holes: bool = Field(
+        True, description="Where the mesh of an object has a hole that nothing was measured through, take it for solid."
+    )
 
 
-@stage(makes=VisibleMasks, version=1)
+@stage(makes=VisibleMasks, version=2)
 def masks(scan: Scan, reconstruction: Reconstruction, objects: ObjectInstances, params: MasksParams, out: Path) -> None:
     """Project the objects into every frame, hidden parts left out.
 
     A pixel belongs to the object its ray meets first, unless the measured depth shows something else in front of it
-    or the mesh wrong.
+    or the mesh wrong. Pixels without measurement follow the ray, and are marked.
     """
-    from bask_data.core import depth
     from bask_data.core import masks as core
+    from bask_data.core.completion import Completion
 
     if len(objects.vertex_instance) != len(reconstruction.vertices):
         raise BadData(
@@ -57,45 +67,91 @@ def masks(scan: Scan, reconstruction: Reconstruction, objects: ObjectInstances, 
             fix="run the stages `reconstruct` and `objects` again.",
         )
     n_instances = len(objects.instances)
-    surface = core.Surface(reconstruction.vertices, reconstruction.triangles, objects.vertex_instance, n_instances)
-    tolerance = (params.tolerance, params.tolerance_per_metre)
+    vertices, labels = reconstruction.vertices, objects.vertex_instance
+    surface = core.Surface(vertices, reconstruction.triangles, labels, n_instances, reconstruction.colors)
+    completion = Completion(vertices, labels, reach=reconstruction.voxel_size) if params.fill_holes else None
     with VisibleMasks.writer(out, n_instances) as writer:
+        fixed = {}
+        for camera in scan.cameras:
+            deviation = core.noise(_residuals(camera, surface, params))
+            if deviation is not None:
+                writer.noise[camera.name] = deviation
+            writer.tolerance[camera.name] = _tolerance(core.tolerance_of(deviation, reconstruction.voxel_size), params)
+            fixed[camera.name] = _survey(camera, surface, completion, writer.tolerance[camera.name], params)
+        if completion is not None:
+            completion.finish()
         for camera in scan.cameras:
             directions = core.ray_directions(camera.K, camera.height, camera.width)
-            fixed = None
-            if params.find_fixed:
-                fixed = core.fixed_to_camera(
-                    _surveyed(camera, surface, directions, params), camera.height, camera.width
-                )
             stream = writer.camera(camera.name, camera.n_frames, camera.height, camera.width)
             for i_frame in progress(range(camera.n_frames), f"masks of {camera.name}"):
-                # Nothing is too near here, a gripper just before the lens is what the measurement is asked for; and a
-                # flying pixel at a hand's edge still tells that the object is not seen there.
-                measured = depth.filled(depth.in_range(camera.depth(i_frame), 0.0, params.far))
                 frame = core.visible_instances(
-                    surface, measured, directions, camera.K, camera.world_from_cameras[i_frame], tolerance, fixed
+                    surface,
+                    _measured(camera, i_frame, params),
+                    directions,
+                    camera.K,
+                    camera.world_from_cameras[i_frame],
+                    writer.tolerance[camera.name],
+                    fixed[camera.name],
+                    completion,
+                    camera.rgb(i_frame) if params.use_colour else None,
                 )
-                stream.append(frame.instance, frame.visible_fraction)
+                stream.append(frame.instance, frame.visible_fraction, frame.measured)
                 for reason, n_pixels in frame.n_pixels.items():
                     writer.pixels[reason] = writer.pixels.get(reason, 0) + n_pixels
 
 
-def _surveyed(
-    camera: Camera, surface: Surface, directions: np.ndarray, params: MasksParams
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Colour, and where the depth lies on the mesh, of frames spread evenly over a camera's path."""
+def _tolerance(found: tuple[float, float], params: MasksParams) -> tuple[float, float]:
+    constant = found[0] if params.tolerance is None else params.tolerance
+    per_metre = found[1] if params.tolerance_per_metre is None else params.tolerance_per_metre
+    return constant, per_metre
+
+
+def _measured(camera: Camera, i_frame: int, params: MasksParams) -> np.ndarray:
+    """Depth of a frame. Nothing is too near here, a gripper just before the lens is what the measurement is asked for;
+    and a flying pixel at a hand's edge still tells that the object is not seen there."""
+    from bask_data.core import depth
+
+    return depth.filled(depth.in_range(camera.depth(i_frame), 0.0, params.far))
+
+
+def _surveyed(camera: Camera) -> np.ndarray:
+    """Frames spread evenly over a camera's path."""
     import numpy as np
 
-    from bask_data.core import depth
+    return np.unique(np.linspace(0, camera.n_frames - 1, min(N_SURVEYED, camera.n_frames)).round().astype(int))
+
+
+def _residuals(camera: Camera, surface: Surface, params: MasksParams) -> np.ndarray:
+    import numpy as np
+
     from bask_data.core import masks as core
 
-    for i_frame in np.unique(np.linspace(0, camera.n_frames - 1, N_SURVEYED).round().astype(int)):
-        measured = depth.filled(depth.in_range(camera.depth(i_frame), 0.0, params.far))
-        seen = core.confirmed(
-            surface,
-            measured,
-            directions,
-            camera.world_from_cameras[i_frame],
-            (params.tolerance, params.tolerance_per_metre),
-        )
-        yield camera.rgb(i_frame), seen
+    directions = core.ray_directions(camera.K, camera.height, camera.width)
+    samples = [
+        core.residuals(surface, _measured(camera, i_frame, params), directions, camera.world_from_cameras[i_frame])
+        for i_frame in _surveyed(camera)
+    ]
+    return np.concatenate(samples) if samples else np.zeros((0, 2), np.float32)
+
+
+def _survey(
+    camera: Camera,
+    surface: Surface,
+    completion: Completion | None,
+    tolerance: tuple[float, float],
+    params: MasksParams,
+) -> np.ndarray | None:
+    """Pixels that show something fixed to the camera; None if that is not looked for. Carves the completion."""
+    from bask_data.core import masks as core
+
+    directions = core.ray_directions(camera.K, camera.height, camera.width)
+
+    def looks() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for i_frame in _surveyed(camera):
+            depth, world_from_camera = _measured(camera, i_frame, params), camera.world_from_cameras[i_frame]
+            if completion is not None:
+                completion.carve(depth, camera.K, world_from_camera, tolerance)
+            yield camera.rgb(i_frame), core.confirmed(surface, depth, directions, world_from_camera, tolerance)
+
+    fixed = core.fixed_to_camera(looks(), camera.height, camera.width)
+    return fixed if params.find_fixed else None

@@ -11,7 +11,10 @@ from bask_data.core.masks import (
     confirmed,
     decided,
     fixed_to_camera,
+    noise,
     ray_directions,
+    residuals,
+    tolerance_of,
     visible_instances,
 )
 from bask_data.core.tsdf import Volume
@@ -35,7 +38,9 @@ CAMERA = look_at((0.05, -0.7, 0.25))
 """From here the front box hides a part of the back one."""
 
 
-def mesh_of(bodies: tuple[Box, ...], labels: list[int], with_table: bool = True) -> Surface:
+def mesh_of(
+    bodies: tuple[Box, ...], labels: list[int], with_table: bool = True, colors: np.ndarray | None = None
+) -> Surface:
     """The exact surface as triangles: boxes and a table."""
     vertices, triangles, vertex_label = [], [], []
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
@@ -66,13 +71,12 @@ def mesh_of(bodies: tuple[Box, ...], labels: list[int], with_table: bool = True)
         np.array(triangles, np.int32),
         np.array(vertex_label, np.int32),
         max(labels, default=0),
+        colors,
     )
 
 
-def look(
-    surface: Surface, depth: np.ndarray, camera: np.ndarray = CAMERA, occluder: np.ndarray | None = None
-) -> VisibleFrame:
-    return visible_instances(surface, depth, DIRECTIONS, K, camera, TOLERANCE, occluder)
+def look(surface: Surface, depth: np.ndarray, camera: np.ndarray = CAMERA, **more: object) -> VisibleFrame:
+    return visible_instances(surface, depth, DIRECTIONS, K, camera, TOLERANCE, **more)
 
 
 NOT_MEASURED = np.zeros((HEIGHT, WIDTH), np.float32)
@@ -146,7 +150,10 @@ def test_an_object_taken_away_is_in_no_mask() -> None:
     frame = look(mesh_of((FRONT, BACK), [1, 2]), view.depth)
     # At the foot the table behind the box is within the tolerance of the box.
     assert (frame.instance == 1).sum() < 0.2 * (SCENE.render(K, CAMERA, HEIGHT, WIDTH).instance == 1).sum()
-    assert frame.n_pixels["measured_behind"] > 100
+    assert frame.n_pixels["measured_through"] > 100
+    nothing_known_behind = look(mesh_of((FRONT, BACK), [1, 2], with_table=False), view.depth)
+    assert (nothing_known_behind.instance == 1).sum() < 0.2 * (frame.measured & (view.instance == 0)).sum()
+    assert nothing_known_behind.n_pixels["measured_behind"] > 100
 
 
 def test_edges_lie_where_they_were_measured_and_not_where_the_mesh_has_them() -> None:
@@ -165,6 +172,128 @@ def test_a_thin_part_keeps_its_width() -> None:
     assert 10 < (view.instance == 1).sum() < 60, "a pixel wide"
     depth = cleaned(noisy(view.depth, 0.001, np.random.default_rng(0)), 0.0, 5.0)
     assert (look(mesh_of((rod,), [1]), depth).instance == view.instance)[view.instance == 1].mean() > 0.95
+
+
+@pytest.mark.parametrize("width_px", [2, 3])
+@pytest.mark.parametrize("share_missing", [0.0, 0.3])
+def test_rods_of_two_and_three_pixels_survive_with_noise_and_without_a_part_of_the_depth(
+    width_px: int, share_missing: float
+) -> None:
+    half = width_px * 0.68 / K[0, 0] / 2
+    rods = tuple(box_at(x, -0.05, (half, half, 0.08)) for x in (-0.1, 0.0, 0.1))
+    view = Scene(rods, SCENE.background).render(K, CAMERA, HEIGHT, WIDTH)
+    depth = noisy(view.depth, 0.002, np.random.default_rng(0), share_missing)
+    frame = look(mesh_of(rods, [1, 2, 3]), depth)
+    on_rod = view.instance > 0
+    assert width_px - 0.7 < on_rod[30:50].sum(axis=1).mean() / 3 < width_px + 0.7
+    assert (frame.instance == view.instance)[on_rod].mean() > 0.95
+    assert (frame.instance[~on_rod] > 0).sum() < 0.05 * on_rod.sum()
+
+
+def test_pixels_without_measurement_are_marked_where_an_object_may_be_and_nowhere_else() -> None:
+    view = SCENE.render(K, CAMERA, HEIGHT, WIDTH)
+    depth = view.depth.copy()
+    depth[:, ::3] = 0
+    frame = look(mesh_of((FRONT, BACK), [1, 2]), depth)
+    assert np.array_equal(frame.measured, (depth > 0) | (view.instance == 0))
+    assert (frame.instance != view.instance).sum() <= 2, "they follow the ray all the same"
+
+
+def test_a_measurement_behind_a_flake_of_the_mesh_shows_what_lies_there() -> None:
+    # The mesh has a thin sheet before the front box, as a fused volume has before thin walls.
+    flake = box_at(0.0, -0.19, (0.04, 0.001, 0.04))
+    view = SCENE.render(K, CAMERA, HEIGHT, WIDTH)
+    frame = look(mesh_of((FRONT, BACK, flake), [1, 2, 0]), view.depth)
+    assert (frame.instance != view.instance).sum() <= 4
+
+
+def test_a_pinhole_of_half_a_pixel_more_would_show() -> None:
+    view = SCENE.render(K, CAMERA, HEIGHT, WIDTH)
+    shifted = ray_directions(K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]), HEIGHT, WIDTH)
+    surface = mesh_of((FRONT, BACK), [1, 2])
+    wrong = visible_instances(surface, NOT_MEASURED, shifted, K, CAMERA, TOLERANCE)
+    right = visible_instances(surface, NOT_MEASURED, DIRECTIONS, K, CAMERA, TOLERANCE)
+    assert (right.instance != view.instance).sum() <= 2 < 50 < (wrong.instance != view.instance).sum()
+
+
+PAINTED = np.repeat(np.array([[200, 60, 40], [40, 180, 70], [150, 140, 120]], np.uint8), [8, 8, 4], axis=0)
+"""Colours of the vertices of `mesh_of` two boxes and the table."""
+
+
+def finger_over_the_scene(openness: float) -> tuple[Scene, np.ndarray]:
+    """The scene with two fingers that reach in from the left and the right of the view; what is theirs is 3 and 4."""
+    x = 0.005 + 0.025 * openness
+    fingers = tuple(
+        Box((0.2, 0.02, 0.03), world_from_finger(side * (x + 0.2), -0.25, 0.1), (30, 30, 160)) for side in (-1, 1)
+    )
+    return Scene((FRONT, BACK, *fingers), SCENE.background), np.array([3, 4])
+
+
+def world_from_finger(x: float, y: float, z: float) -> np.ndarray:
+    world_from_box = np.eye(4)
+    world_from_box[:3, 3] = x, y, z
+    return world_from_box
+
+
+@pytest.mark.parametrize("openness", [0.0, 0.4, 1.0])
+@pytest.mark.parametrize("with_depth", [True, False])
+def test_fingers_that_move_are_in_no_mask_with_depth_on_them_or_by_their_colour(
+    openness: float, with_depth: bool
+) -> None:
+    scene, fingers = finger_over_the_scene(openness)
+    view = scene.render(K, CAMERA, HEIGHT, WIDTH)
+    on_finger = np.isin(view.instance, fingers)
+    palette = np.array([[150, 140, 120], [200, 60, 40], [40, 180, 70], [30, 30, 160], [30, 30, 160]], np.uint8)
+    rng = np.random.default_rng(0)
+    # A third brighter than when the mesh was coloured: the camera's exposure is its own.
+    rgb = np.clip(palette[view.instance] * 1.33 + rng.normal(scale=4, size=(HEIGHT, WIDTH, 3)), 0, 255).astype(np.uint8)
+    depth = view.depth if with_depth else np.where(on_finger, np.float32(0), view.depth)
+    boxes = mesh_of((FRONT, BACK), [1, 2], colors=PAINTED)
+    by_ray = look(boxes, NOT_MEASURED).instance
+    covered = on_finger & (by_ray > 0)
+    assert covered.sum() > 100, "they cover the objects"
+    frame = look(boxes, depth, rgb=rgb)
+    assert (frame.instance[on_finger] > 0).sum() < 0.005 * (frame.instance > 0).sum()
+    elsewhere = (view.instance > 0) & ~on_finger
+    assert (frame.instance == view.instance)[elsewhere].mean() > 0.99
+    if not with_depth:
+        assert frame.n_pixels["hidden_by_colour"] > 100
+        assert not frame.measured[covered].any()
+
+
+def test_a_highlight_without_depth_on_an_object_stays_in_its_mask() -> None:
+    view = SCENE.render(K, CAMERA, HEIGHT, WIDTH)
+    palette = np.array([[150, 140, 120], [200, 60, 40], [40, 180, 70]], np.uint8)
+    rgb, depth = palette[view.instance], view.depth.copy()
+    v, u = np.argwhere(view.instance == 1).mean(axis=0).astype(int)
+    rgb[v - 6 : v + 7, u - 6 : u + 7], depth[v - 6 : v + 7, u - 6 : u + 7] = 255, 0
+    frame = look(mesh_of((FRONT, BACK), [1, 2], colors=PAINTED), depth, rgb=rgb)
+    assert (frame.instance != view.instance).sum() <= 2
+    assert frame.n_pixels["hidden_by_colour"] == 0
+
+
+@pytest.mark.parametrize(("a", "b"), [(0.001, 0.005), (0.001, 0.02), (0.003, 0.0), (0.0, 0.01)])
+def test_the_noise_of_a_sensor_is_recovered_within_a_fifth(a: float, b: float) -> None:
+    surface, rng, samples = mesh_of((FRONT, BACK), [1, 2]), np.random.default_rng(0), []
+    hand = Sphere((0.03, -0.25, 0.12), 0.05)
+    for camera in orbit(12, radius=0.8):
+        # The hand is an outlier the mesh does not know.
+        depth = Scene((*SCENE.objects, hand), SCENE.background).render(K, camera, HEIGHT, WIDTH).depth
+        off = rng.normal(size=depth.shape) * (a + b * depth)
+        measured = np.where(depth > 0, depth + off, 0).astype(np.float32)
+        samples.append(residuals(surface, measured, DIRECTIONS, camera))
+    found = noise(np.concatenate(samples))
+    assert found is not None
+    for z in (0.6, 0.8, 1.0):
+        assert found[0] + found[1] * z == pytest.approx(a + b * z, rel=0.2)
+
+
+def test_the_tolerance_follows_the_noise_between_what_the_mesh_and_a_hand_allow() -> None:
+    assert noise(np.zeros((10, 2), np.float32)) is None
+    assert tolerance_of(None, 0.004) == (0.01, 0.02)
+    assert tolerance_of((0.0, 0.0), 0.004) == (0.01, 0.0)
+    assert tolerance_of((0.005, 0.005), 0.004) == (0.02, 0.02)
+    assert tolerance_of((1.0, 1.0), 0.004) == (0.04, 0.06)
 
 
 def test_triangles_between_two_instances_are_divided_at_their_middle() -> None:
@@ -197,13 +326,16 @@ def test_pixels_are_decided_by_the_table_of_the_docstring() -> None:
     cases = {0.5: 1, 0.512: 1, 0.3: 0, 0.9: 0, 0.0: 1}
     for measurement, expected in cases.items():
         depth = np.full((1, 9), measurement, np.float32)
-        decision, n_pixels = decided(label, rendered, depth, region, TOLERANCE)
-        assert (decision == expected).all(), measurement
-        assert sum(n_pixels.values()) == 9
+        decision = decided(label, rendered, depth, region, TOLERANCE)
+        assert (decision.label == expected).all(), measurement
+        assert sum(decision.n_pixels.values()) == 9
+        assert (decision.measured == (measurement > 0)).all()
     label[0, 5:], rendered[0, 5:] = 2, 0.8
     depth = np.full((1, 9), 0.8, np.float32)
-    decision, _ = decided(label, rendered, depth, region, TOLERANCE)
-    assert decision[0].tolist() == [0, 0, 0, 2, 2, 2, 2, 2, 2], "corrected within reach of the edge, removed beyond"
+    decision = decided(label, rendered, depth, region, TOLERANCE)
+    assert decision.label[0].tolist() == [0, 0, 0, 2, 2, 2, 2, 2, 2], (
+        "corrected within reach of the edge, removed beyond"
+    )
 
 
 def test_pixels_without_measurement_follow_the_measured_ones_around_them() -> None:
@@ -211,10 +343,11 @@ def test_pixels_without_measurement_follow_the_measured_ones_around_them() -> No
     rendered = np.full((40, 40), 0.5, np.float32)
     depth = np.zeros((40, 40), np.float32)
     depth[::3, :20:3], depth[::3, 20::3] = 0.2, 0.5
-    decision, n_pixels = decided(label, rendered, depth, np.ones((40, 40), bool), TOLERANCE)
-    assert not decision[:, :16].any()
-    assert (decision[:, 24:] == 1).all()
-    assert n_pixels["not_measured_and_hidden"] > 300
+    decision = decided(label, rendered, depth, np.ones((40, 40), bool), TOLERANCE)
+    assert not decision.label[:, :16].any()
+    assert (decision.label[:, 24:] == 1).all()
+    assert decision.n_pixels["not_measured_and_hidden"] > 300
+    assert np.array_equal(decision.measured, depth > 0)
 
 
 def gripper_frames(n_frames: int, moving: bool = True, with_pads: bool = True) -> tuple[list, np.ndarray]:

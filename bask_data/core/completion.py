@@ -1,0 +1,168 @@
+"""What may be solid although no image measured it: the convex hull of an object, less what was seen through.
+
+A sensor gives nothing on dark, shiny or steep surface, so a fused mesh has holes there. Nothing is invented where
+measurements passed: the hole in the handle of a mug stays open, because the table was measured through it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import open3d as o3d
+from jaxtyping import Bool, Float, Float32, Int, Int32, UInt8
+from numpy import ndarray
+from scipy.spatial import ConvexHull, QhullError
+
+from bask_data.core.geometry import in_image, invert_rigid, project, transform
+
+N_CELLS = 48
+"""Cells along the longest side of an object, at most; more would show no finer than a few pixels."""
+
+SMALLEST_CELL = 0.003
+"""Metres."""
+
+SEEN_THROUGH = 2
+"""Frames that must have measured beyond a cell: one alone may be a reflection."""
+
+
+@dataclass
+class _Block:
+    """The cells in and around one instance's hull."""
+
+    instance: int
+    lowest: Float[ndarray, "3"]
+    cell: float
+    shape: tuple[int, int, int]
+    index: Int[ndarray, "n 3"]
+    centres_world: Float[ndarray, "n 3"]
+    outside: Float[ndarray, "n"]
+    """Metres from the hull; negative inside it."""
+    n_through: Int32[ndarray, "n"]
+    n_on: Int32[ndarray, "n"]
+
+
+class Completion:
+    """The hulls of all instances, carved frame by frame (`carve`), then asked which pixels they fill.
+
+    Args:
+        reach: metres around a hull within which a measured point may still be the object's.
+    """
+
+    def __init__(self, vertices: Float32[ndarray, "n 3"], vertex_instance: Int32[ndarray, "n"], reach: float) -> None:
+        self._blocks: list[_Block] = []
+        for instance in np.unique(vertex_instance[vertex_instance > 0]):
+            block = _block(vertices[vertex_instance == instance].astype(np.float64), int(instance), reach)
+            if block is not None:
+                self._blocks.append(block)
+        self._scene: o3d.t.geometry.RaycastingScene | None = None
+        self._face_label = np.zeros(0, np.uint8)
+        self._allowed: list[Bool[ndarray, "nx ny nz"]] = []
+
+    def carve(
+        self,
+        depth: Float32[ndarray, "h w"],
+        K: Float[ndarray, "3 3"],
+        world_from_camera: Float[ndarray, "4 4"],
+        tolerance: tuple[float, float],
+    ) -> None:
+        """Count the cells one frame measured through, and those it measured a surface in."""
+        for block in self._blocks:
+            uv, z = project(transform(invert_rigid(world_from_camera), block.centres_world), K)
+            seen = np.flatnonzero(in_image(uv, *depth.shape))
+            u, v = np.rint(uv[seen]).astype(int).T
+            measured = depth[v, u]
+            slack = tolerance[0] + tolerance[1] * z[seen] + block.cell
+            block.n_through[seen] += measured > z[seen] + slack
+            block.n_on[seen] += (measured > 0) & (np.abs(measured - z[seen]) <= slack)
+
+    def finish(self) -> None:
+        """Close the counting; `hit` and `holds` answer from here on."""
+        parts, labels = [], []
+        self._allowed = []
+        for block in self._blocks:
+            solid = ~((block.n_through >= SEEN_THROUGH) & (block.n_through > block.n_on))
+            self._allowed.append(_grid(block, solid))
+            # Half a cell inside the hull, so that the faces of the cells lie on it and not outside.
+            parts.append(_faces(_grid(block, solid & (block.outside <= -0.5 * block.cell)), block))
+            labels.append(np.full(len(parts[-1][1]), block.instance, np.uint8))
+        self._face_label = np.concatenate([*labels, np.zeros(1, np.uint8)])
+        start = np.cumsum([0, *(len(points) for points, _ in parts)])
+        triangles = [faces + begin for (_, faces), begin in zip(parts, start[:-1], strict=True)]
+        if len(self._face_label) > 1:
+            self._scene = o3d.t.geometry.RaycastingScene()
+            self._scene.add_triangles(
+                o3d.core.Tensor.from_numpy(np.concatenate([points for points, _ in parts]).astype(np.float32)),
+                o3d.core.Tensor.from_numpy(np.concatenate(triangles).astype(np.uint32)),
+            )
+
+    def hit(self, rays: Float32[ndarray, "n 6"]) -> tuple[Float32[ndarray, "n"], UInt8[ndarray, "n"]]:
+        """Ray parameter of the first cell that may be solid (infinity: none), and its instance (0: none)."""
+        if self._scene is None or len(rays) == 0:
+            return np.full(len(rays), np.inf, np.float32), np.zeros(len(rays), np.uint8)
+        hits = self._scene.cast_rays(o3d.core.Tensor.from_numpy(np.ascontiguousarray(rays)))
+        i_face = np.minimum(hits["primitive_ids"].numpy(), np.uint32(len(self._face_label) - 1))
+        return hits["t_hit"].numpy(), self._face_label[i_face]
+
+    def holds(self, points_world: Float32[ndarray, "n 3"]) -> UInt8[ndarray, "n"]:
+        """The instance in whose hull, or within reach of it, a point lies that was not seen through; 0: none."""
+        label = np.zeros(len(points_world), np.uint8)
+        for block, allowed in zip(self._blocks, self._allowed, strict=True):
+            index = np.floor((points_world - block.lowest) / block.cell).astype(int)
+            near = np.flatnonzero(((index >= 0) & (index < block.shape)).all(axis=1) & (label == 0))
+            inside = near[allowed[tuple(index[near].T)]]
+            label[inside] = block.instance
+        return label
+
+
+def _block(points: Float[ndarray, "n 3"], instance: int, reach: float) -> _Block | None:
+    """None where the points enclose nothing: too few, or all in a plane."""
+    if len(points) < 4:
+        return None
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        return None
+    cell = max(SMALLEST_CELL, float(np.ptp(points, axis=0).max()) / N_CELLS)
+    lowest = points.min(axis=0) - reach - cell
+    n_x, n_y, n_z = np.ceil((points.max(axis=0) + reach + cell - lowest) / cell).astype(int).tolist()
+    index = np.stack(np.meshgrid(np.arange(n_x), np.arange(n_y), np.arange(n_z), indexing="ij"), axis=-1).reshape(-1, 3)
+    centres = lowest + (index + 0.5) * cell
+    outside = np.full(len(centres), -np.inf)
+    # Neighbouring triangles of a face have the same plane; each plane once.
+    for plane in np.unique(np.round(hull.equations, 6), axis=0):
+        np.maximum(outside, centres @ plane[:3] + plane[3], out=outside)
+    near = outside <= reach
+    n_near = int(near.sum())
+    return _Block(
+        instance=instance,
+        lowest=lowest,
+        cell=cell,
+        shape=(n_x, n_y, n_z),
+        index=index[near],
+        centres_world=centres[near],
+        outside=outside[near],
+        n_through=np.zeros(n_near, np.int32),
+        n_on=np.zeros(n_near, np.int32),
+    )
+
+
+def _grid(block: _Block, chosen: Bool[ndarray, "n"]) -> Bool[ndarray, "nx ny nz"]:
+    grid = np.zeros(block.shape, bool)
+    grid[tuple(block.index[chosen].T)] = True
+    return grid
+
+
+def _faces(solid: Bool[ndarray, "nx ny nz"], block: _Block) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"]]:
+    """Two triangles for each side of a solid cell whose neighbour is not solid."""
+    padded = np.pad(solid, 1)
+    corners = []
+    for axis in range(3):
+        along, across = np.eye(3, dtype=int)[[(axis + 1) % 3, (axis + 2) % 3]]
+        boundary = np.argwhere(np.diff(padded.astype(np.int8), axis=axis)) - 1
+        boundary[:, axis] += 1
+        corners.append(boundary[:, None] + np.stack([0 * along, along, along + across, across]))
+    quads = np.concatenate(corners)
+    first = 4 * np.arange(len(quads))[:, None]
+    triangles = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])])
+    return block.lowest + quads.reshape(-1, 3) * block.cell, triangles
