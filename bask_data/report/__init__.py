@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bask_data.dataset import Dataset
 
-__all__ = ["summarise", "write_report"]
+if TYPE_CHECKING:
+    from bask_data.report.figures import Measured
+
+__all__ = ["measure", "summarise", "write_report"]
 
 
-def write_report(dataset: Dataset, out: Path) -> Path:
+def measure(dataset: Dataset) -> Measured:
+    """What page and summary both need and what takes a look at many frames; give it to both to look only once."""
+    from bask_data.report.figures import Measured
+
+    return Measured(dataset)
+
+
+def write_report(dataset: Dataset, out: Path, measured: Measured | None = None) -> Path:
     """Write one self-contained HTML file about a dataset: it loads nothing from anywhere.
 
     Returns:
@@ -19,7 +29,7 @@ def write_report(dataset: Dataset, out: Path) -> Path:
     # Imported here: the page needs OpenCV, Open3D and Matplotlib, and the command line must start without them.
     from bask_data.report.page import render
 
-    html = render(dataset)
+    html = render(dataset, measured or measure(dataset))
     out.parent.mkdir(parents=True, exist_ok=True)
     unfinished = out.with_name(f".{out.name}.unfinished")
     unfinished.write_text(html, encoding="utf-8")
@@ -27,8 +37,8 @@ def write_report(dataset: Dataset, out: Path) -> Path:
     return out
 
 
-def summarise(dataset: Dataset) -> dict[str, Any]:
+def summarise(dataset: Dataset, measured: Measured | None = None) -> dict[str, Any]:
     """The report's figures of all items as plain JSON values; None where a figure is not known."""
     from bask_data.report.figures import summary
 
-    return summary(dataset)
+    return summary(dataset, measured or measure(dataset))

@@ -30,12 +30,15 @@ from bask_data.kinds import (
     Truth,
     VisibleMasks,
 )
+from bask_data.kinds.truth import ROBOT
 from bask_data.progress import progress
 
 TOLERANCE_PX = 5.0
 """A keypoint this close to its object counts as near: labels drawn by people are not better than that."""
 SHARED_IOU = 0.05
 """Below this, an instance only touches a label; two labels it covers better than this were not told apart."""
+MOST_MEASURED = 300
+"""Frames of a camera in which masks are counted and held against labels; of more, so many spread evenly."""
 N_SAMPLED = 8
 """Frames looked at for figures that need no more than an impression."""
 
@@ -91,7 +94,32 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def summary(dataset: Dataset) -> dict[str, Any]:
+class Measured:
+    """Figures that take a look at many frames: taken once for a page, in whatever size, and for its summary."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        self._dataset = dataset
+        self._masks: dict[str, dict[str, Any]] = {}
+        self._tracks: dict[tuple[str, str], TrackScores] = {}
+
+    def masks(self, scene: str) -> dict[str, Any]:
+        """Of a scene's masks; what cannot be read says why."""
+        if scene not in self._masks:
+            try:
+                found = masks_figures(find(self._dataset, VisibleMasks, scene), find_truth(self._dataset, scene))
+            except UNREADABLE as error:
+                found = {"error": what_is_wrong(error)}
+            self._masks[scene] = found
+        return self._masks[scene]
+
+    def track(self, demonstration: str, variant: str) -> TrackScores:
+        """Of a track that exists."""
+        if (demonstration, variant) not in self._tracks:
+            self._tracks[demonstration, variant] = TrackScores(self._dataset, demonstration, variant)
+        return self._tracks[demonstration, variant]
+
+
+def summary(dataset: Dataset, measured: Measured) -> dict[str, Any]:
     """All figures of all items."""
     scenes, demonstrations = dataset.items("scene"), dataset.items("demonstration")
     result: dict[str, Any] = {
@@ -100,9 +128,7 @@ def summary(dataset: Dataset) -> dict[str, Any]:
         "recordings": _each(dataset.items("recording"), lambda name: recording_figures(find_recording(dataset, name))),
         "reconstruction": _each(scenes, lambda name: reconstruction_figures(find(dataset, Reconstruction, name))),
         "objects": _each(scenes, lambda name: objects_figures(find(dataset, ObjectInstances, name))),
-        "masks": _each(
-            scenes, lambda name: masks_figures(find(dataset, VisibleMasks, name), find_truth(dataset, name))
-        ),
+        "masks": _each(scenes, measured.masks),
         "correspondences": _each(scenes, lambda name: matches_figures(find(dataset, Correspondences, name))),
         "descriptor": _each(
             list(dataset.variants(DescriptorNet)),
@@ -110,7 +136,7 @@ def summary(dataset: Dataset) -> dict[str, Any]:
         ),
         "keypoints": _each(
             list(dataset.variants(KeypointTrack)),
-            lambda variant: _each(demonstrations, lambda name: track_figures(dataset, name, variant)),
+            lambda variant: _each(demonstrations, lambda name: track_figures(dataset, measured, name, variant)),
         ),
     }
     return plain({name: value for name, value in result.items() if value not in ({}, None)})
@@ -210,67 +236,93 @@ def _camera_figures(camera: Camera) -> dict[str, Any]:
 
 
 def reconstruction_figures(reconstruction: Reconstruction | None) -> dict[str, Any]:
-    """Size of the mesh and what the fusion says of its quality."""
+    """Size of the mesh, what the fusion says of its quality, and the frames that stand out."""
     if reconstruction is None:
         return {}
-    low, high = np.array(reconstruction.metadata.bounds).reshape(2, 3)
+    metadata, frames = reconstruction.metadata, reconstruction.frames
+    low, high = np.array(metadata.bounds).reshape(2, 3)
+    suspect = frames.filter(frames["suspect"]).select(["camera", "frame", "residual_abs", "explained"])
     return {
         "n_vertices": len(reconstruction.vertices),
         "n_triangles": len(reconstruction.triangles),
         "voxel_size_m": reconstruction.voxel_size,
         "bounds_m": [low.tolist(), high.tolist()],
-        "quality": dict(reconstruction.metadata.quality),
+        "quality": metadata.quality.model_dump(),
+        "suspect_frames": suspect.to_pylist(),
+        "unmeasured": [region.model_dump() for region in metadata.unmeasured],
+        "warnings": list(metadata.warnings),
     }
 
 
 def objects_figures(objects: ObjectInstances | None) -> dict[str, Any]:
-    """The table of instances."""
+    """The table of instances, the planes taken for background, and objects that nearly touch."""
     if objects is None:
         return {}
     return {
         "n_objects": len(objects.instances),
         "background_share": float((objects.vertex_instance == 0).mean()) if len(objects.vertex_instance) else math.nan,
         "instances": [row.model_dump() for row in objects.instances],
+        "planes": [row.model_dump() for row in objects.metadata.planes],
+        "neighbours": [row.model_dump() for row in objects.metadata.neighbours],
         "warnings": list(objects.metadata.warnings),
     }
 
 
 def masks_figures(masks: VisibleMasks | None, truth: Truth | None) -> dict[str, Any]:
-    """How visible each instance is, and, with labels, each one's IoU with its best instance over all frames."""
+    """How visible each instance is, and, with labels, each one's IoU with its best instance over all frames.
+
+    Labels of bodies that touch count as one, and the robot's as background: no mask may lie on it.
+    """
     if masks is None:
         return {}
+    groups = scores.joined(truth.metadata.touching if truth else [])
+    groups[ROBOT] = 0
     table = np.zeros((scores.N_LABELS, scores.N_LABELS), dtype=np.int64)
     n_pixels = np.zeros(scores.N_LABELS, dtype=np.int64)
-    fractions, n_frames, n_labelled = [], 0, 0
+    visible, certain, n_frames, n_measured, n_labelled = [], [], 0, 0, 0
+    n_masked = n_on_robot = 0
     for name in masks.camera_names:
         camera = masks.camera(name)
         n_frames += camera.n_frames
-        fractions.append(camera.visible_fraction)
+        visible.append(camera.visible_fraction)
+        certain.append(camera.measured_fraction)
         labelled = truth is not None and name in truth.camera_names
-        for i_frame in progress(range(camera.n_frames), f"measuring masks of {masks.path.name}"):
+        frames = spread_frames(camera.n_frames, MOST_MEASURED)
+        n_measured += len(frames)
+        for i_frame in progress(frames, f"measuring masks of {masks.path.name}"):
             instance = camera.instance(i_frame)
             n_pixels += np.bincount(instance.ravel(), minlength=scores.N_LABELS)
             if labelled and truth is not None:
-                table += _same_size_overlap(truth.instance(name, i_frame), instance, truth, name)
+                labels = _same_size(truth.instance(name, i_frame), instance, truth, name)
+                table += scores.overlap(groups[labels], instance)
+                n_masked += int(np.count_nonzero(instance))
+                n_on_robot += int(np.count_nonzero(instance[labels == ROBOT]))
                 n_labelled += 1
+    none = np.zeros((0, 0))
     return {
         "n_frames": n_frames,
+        "n_measured_frames": n_measured,
         "pixels": dict(masks.metadata.pixels),
-        "instances": _visibility(np.concatenate(fractions) if fractions else np.zeros((0, 0)), n_pixels),
-        "labels": _label_matches(table, truth) if truth is not None and n_labelled else None,
+        "noise": dict(masks.metadata.noise),
+        "tolerance": dict(masks.metadata.tolerance),
+        "instances": _visibility(
+            np.concatenate(visible) if visible else none, np.concatenate(certain) if certain else none, n_pixels
+        ),
+        "labels": _label_matches(table, truth, groups) if truth is not None and n_labelled else None,
         "n_labelled_frames": n_labelled,
+        "on_robot_share": n_on_robot / n_masked if truth and ROBOT in truth.label_names and n_masked else None,
     }
 
 
-def _same_size_overlap(labels: np.ndarray, instance: np.ndarray, truth: Truth, camera: str) -> np.ndarray:
+def _same_size(labels: np.ndarray, instance: np.ndarray, truth: Truth, camera: str) -> np.ndarray:
     if labels.shape != instance.shape:
         raise BadData(
             truth.path / camera / "instance", "shape", expected=f"{instance.shape} as the masks", got=labels.shape
         )
-    return scores.overlap(labels, instance)
+    return labels
 
 
-def _visibility(fraction: np.ndarray, n_pixels: np.ndarray) -> list[dict[str, Any]]:
+def _visibility(fraction: np.ndarray, certain: np.ndarray, n_pixels: np.ndarray) -> list[dict[str, Any]]:
     rows = []
     for i in range(fraction.shape[1]):
         known = fraction[:, i][np.isfinite(fraction[:, i])]
@@ -280,6 +332,7 @@ def _visibility(fraction: np.ndarray, n_pixels: np.ndarray) -> list[dict[str, An
                 "n_frames_in_view": len(known),
                 "n_frames_seen": int((known > 0).sum()),
                 "visible_fraction": scores.distribution(known),
+                "measured_fraction": scores.distribution(certain[:, i]),
                 "least_visible": float(known.min()) if len(known) else math.nan,
                 "n_pixels": int(n_pixels[i + 1]) if i + 1 < len(n_pixels) else 0,
             }
@@ -287,13 +340,17 @@ def _visibility(fraction: np.ndarray, n_pixels: np.ndarray) -> list[dict[str, An
     return rows
 
 
-def _label_matches(table: np.ndarray, truth: Truth) -> list[dict[str, Any]]:
+def _label_matches(table: np.ndarray, truth: Truth, groups: np.ndarray) -> list[dict[str, Any]]:
+    names: dict[int, list[str]] = {}
+    for label, name in sorted(truth.label_names.items()):
+        if 0 < label < len(groups):
+            names.setdefault(int(groups[label]), []).append(name)
     matches = scores.best_instances(table)
     taken = [match.instance for match in matches if match.iou >= SHARED_IOU]
     return [
         {
             **asdict(match),
-            "name": truth.label_names.get(match.label, f"label {match.label}"),
+            "name": " + ".join(names.get(match.label, [])) or f"label {match.label}",
             "shared": match.iou >= SHARED_IOU and taken.count(match.instance) > 1,
         }
         for match in matches
@@ -304,10 +361,11 @@ def matches_figures(correspondences: Correspondences | None) -> dict[str, Any]:
     """How many matches, between how different views, and why candidates were rejected."""
     if correspondences is None:
         return {}
-    pairs = correspondences.pairs()
+    pairs, matches = correspondences.pairs(), correspondences.matches()
     column = {name: pairs[name].to_numpy() for name in ("n_attempts", "n_matches", "distance", "angle")}
-    counts = correspondences.matches()["instance"].value_counts().to_pylist()
+    counts = matches["instance"].value_counts().to_pylist()
     attempts = int(column["n_attempts"].sum())
+    change = view_changes(matches)
     return {
         "n_pairs": pairs.num_rows,
         "n_matches": int(column["n_matches"].sum()),
@@ -317,10 +375,52 @@ def matches_figures(correspondences: Correspondences | None) -> dict[str, Any]:
         "matches_per_pair": scores.distribution(column["n_matches"].astype(np.float64)),
         "distance_m": scores.distribution(column["distance"]),
         "angle_deg": scores.distribution(np.rad2deg(column["angle"])),
+        "scale": scores.distribution(change.scale),
+        "rotation_deg": scores.distribution(np.rad2deg(change.rotation)),
         "matches_per_instance": {int(row["values"]): int(row["counts"]) for row in sorted(counts, key=_instance)},
         "rejections": dict(correspondences.metadata.rejections),
+        "rejections_per_instance": _rejections(correspondences),
         "warnings": list(correspondences.metadata.warnings),
     }
+
+
+@dataclass(frozen=True)
+class ViewChanges:
+    """By pair with matches, how the second image shows the matched surface, against the first.
+
+    Args:
+        scale: larger by this factor.
+        rotation: turned in the image by this angle, radians.
+    """
+
+    scale: np.ndarray
+    rotation: np.ndarray
+
+
+def view_changes(matches: Any) -> ViewChanges:
+    """The similarity that fits the matches of each pair best, in the sense of least squares."""
+    _, pair = np.unique(matches["pair"].to_numpy(), return_inverse=True)
+    a, b = (matches[f"u_{x}"].to_numpy() + 1j * matches[f"v_{x}"].to_numpy().astype(np.float64) for x in "ab")
+
+    def total(values: np.ndarray) -> np.ndarray:
+        return np.bincount(pair, values.real) + 1j * np.bincount(pair, values.imag)
+
+    n = np.bincount(pair)
+    a, b = (z - (total(z) / np.maximum(n, 1))[pair] for z in (a, b))
+    spread = total(np.abs(a) ** 2 + 0j).real
+    # A pair of matches in one place says nothing of scale or rotation.
+    known = (n >= 2) & (spread > n)
+    factor = total(a.conj() * b)[known] / spread[known]
+    return ViewChanges(np.abs(factor), np.angle(factor))
+
+
+def _rejections(correspondences: Correspondences) -> dict[int, dict[str, int]]:
+    """Rejected pixels by object and reason."""
+    table = correspondences.rejections().group_by(["instance", "reason"]).aggregate([("n", "sum")])
+    found: dict[int, dict[str, int]] = {}
+    for row in sorted(table.to_pylist(), key=lambda row: (row["instance"], row["reason"])):
+        found.setdefault(int(row["instance"]), {})[str(row["reason"])] = int(row["n_sum"])
+    return found
 
 
 def _instance(row: dict[str, int]) -> int:
@@ -485,11 +585,11 @@ def _known_keypoint(dataset: Dataset, pick: Pick | None, truth: Truth | None) ->
     return KnownKeypoint(label, scores.place_elsewhere(point, np.array(there, float), np.array(here, float)))
 
 
-def track_figures(dataset: Dataset, demonstration: str, variant: str) -> dict[str, Any]:
+def track_figures(dataset: Dataset, measured: Measured, demonstration: str, variant: str) -> dict[str, Any]:
     """How certain, how steady and, where the truth is known, how right the keypoints of a demonstration are."""
     if find(dataset, KeypointTrack, demonstration, variant) is None:
         return {}
-    return figures_of_track(TrackScores(dataset, demonstration, variant))
+    return figures_of_track(measured.track(demonstration, variant))
 
 
 def figures_of_track(scored: TrackScores) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import markupsafe
 from bask_data import __version__
 from bask_data.dataset import Dataset
 from bask_data.report import sections
-from bask_data.report.figures import UNREADABLE, what_is_wrong
+from bask_data.report.figures import UNREADABLE, Measured, what_is_wrong
 
 TEMPLATE = "page.html.j2"
 MOST_BYTES = 8_000_000
@@ -23,17 +23,17 @@ NBSP = "\u00a0"
 """A number and its unit stay on one line."""
 
 
-def render(dataset: Dataset) -> str:
+def render(dataset: Dataset, measured: Measured) -> str:
     """The page as text, with as many frames of each camera as fit into `MOST_BYTES`."""
     for n_frames in N_FRAMES:
-        html = _rendered(dataset, n_frames)
+        html = _rendered(dataset, measured, n_frames)
         if len(html) <= MOST_BYTES:
             break
     return html
 
 
-def _rendered(dataset: Dataset, n_frames: int) -> str:
-    chosen = sections.choose(dataset, n_frames)
+def _rendered(dataset: Dataset, measured: Measured, n_frames: int) -> str:
+    chosen = sections.choose(dataset, measured, n_frames)
     built = [_built(name, title, make, chosen) for name, title, make in SECTIONS]
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),

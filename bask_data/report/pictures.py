@@ -15,6 +15,7 @@ from bask_data.core.geometry import scale_pixels
 
 INVALID = (128, 128, 128)
 """Where no depth was measured."""
+HATCH, HATCH_PX = (24, 24, 24), 6
 N_COLOURS = 255
 """Labels beyond this, which no image of labels holds, begin again with the first colour."""
 _SUBPIXEL_BITS = 4
@@ -24,12 +25,18 @@ Colour = tuple[int, int, int]
 
 def palette(n: int) -> list[Colour]:
     """n distinct colours that stand out on photographs; the first are the same for every n."""
-    colours = []
-    for i in range(n):
-        # Steps of the golden ratio never come close to a hue used a few steps before.
-        red, green, blue = colorsys.hsv_to_rgb((0.02 + i * 0.618034) % 1.0, (0.85, 0.6)[i // 8 % 2], 1.0)
-        colours.append((round(255 * red), round(255 * green), round(255 * blue)))
-    return colours
+    return [_colour(i) for i in range(n)]
+
+
+def instance_colour(i: int) -> Colour:
+    """The colour of an object by its id, 1 or more."""
+    return _colour((i - 1) % N_COLOURS)
+
+
+def _colour(i: int) -> Colour:
+    # Steps of the golden ratio never come close to a hue used a few steps before.
+    red, green, blue = colorsys.hsv_to_rgb((0.02 + i * 0.618034) % 1.0, (0.85, 0.6)[i // 8 % 2], 1.0)
+    return round(255 * red), round(255 * green), round(255 * blue)
 
 
 def css(colour: Colour) -> str:
@@ -91,8 +98,14 @@ def instance_colours(vertex_instance: np.ndarray, vertex_colours: np.ndarray) ->
     return result.astype(np.uint8)
 
 
-def mask_picture(rgb: np.ndarray, instance: np.ndarray, labels: np.ndarray | None, width: int) -> np.ndarray:
-    """The image with instances tinted, outlined and numbered; the outlines of true labels, if given, in white."""
+def mask_picture(
+    rgb: np.ndarray, instance: np.ndarray, labels: np.ndarray | None, width: int, measured: np.ndarray | None = None
+) -> np.ndarray:
+    """The image with instances tinted, outlined and numbered; the outlines of true labels, if given, in white.
+
+    Args:
+        measured: (h, w) bool; where False, the instance is an inference without a measurement, and hatched.
+    """
     picture = resize(rgb, width)
     instance = resize_labels(instance, picture.shape[:2])
     ids = [int(i) for i in np.unique(instance) if i]
@@ -102,6 +115,10 @@ def mask_picture(rgb: np.ndarray, instance: np.ndarray, labels: np.ndarray | Non
     tint = table[instance]
     inside = instance > 0
     picture[inside] = (0.6 * picture[inside] + 0.4 * tint[inside]).astype(np.uint8)
+    if measured is not None:
+        guessed = inside & (resize_labels(measured.astype(np.uint8), picture.shape[:2]) == 0)
+        v, u = np.indices(guessed.shape)
+        picture[guessed & ((u + v) % HATCH_PX < 2)] = HATCH
     picture = np.ascontiguousarray(picture)
     if labels is not None:
         labels = resize_labels(labels, picture.shape[:2])

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,8 @@ import numpy as np
 
 _INK = "#010203"
 """A colour nobody draws with; it becomes the page's own text colour."""
+_BAR = "#5f93cc"
+"""Reads on a light and on a dark page."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,8 @@ class Curve:
     colour: str
     thick: bool = False
     dashed: bool = False
+    dots: bool = False
+    """Only its points, not joined."""
 
 
 def line_plot(
@@ -38,9 +43,61 @@ def line_plot(
 
     The labels of the axes must be ours: names out of files belong in HTML, where they are escaped.
     """
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    with _canvas(x_label, y_label) as (axes, drawn):
+        for curve in curves:
+            axes.plot(
+                curve.x,
+                curve.y,
+                color=curve.colour or _INK,
+                linewidth=2.2 if curve.thick else 0.9,
+                alpha=1.0 if curve.thick else 0.75,
+                linestyle="" if curve.dots else "--" if curve.dashed else "-",
+                marker="o" if curve.dots or np.isfinite(curve.y).sum() <= 20 else "",
+                markersize=6 if curve.dots else 3.5 if curve.thick else 2,
+            )
+        if logarithmic and any((curve.y[np.isfinite(curve.y)] > 0).any() for curve in curves):
+            axes.set_yscale("log")
+            # The default writes powers as TeX, and only whole ones, of which there may be none in the range.
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axes.yaxis.set_minor_formatter(NullFormatter())
+        elif y_range:
+            axes.set_ylim(*y_range)
+        else:
+            axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    return drawn[0]
+
+
+def histogram(values: np.ndarray, *, x_label: str, y_label: str, n_bins: int = 24, logarithmic: bool = False) -> str:
+    """An SVG element; of a logarithmic axis, each bin spans the same factor."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
+    if logarithmic:
+        low, high = max(low, 1e-6), max(high, 1e-6)
+        edges = np.geomspace(min(low, 0.9 * high), high * (1 + 1e-9), n_bins + 1)
+    else:
+        edges = np.linspace(low, max(high, low + 1e-6), n_bins + 1)
+    counts, _ = np.histogram(values, edges)
+    with _canvas(x_label, y_label, (3.4, 1.9)) as (axes, drawn):
+        axes.stairs(counts, edges, fill=True, color=_BAR)
+        if logarithmic:
+            axes.set_xscale("log")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.yaxis.get_major_locator().set_params(integer=True)
+    return drawn[0]
+
+
+@contextmanager
+def _canvas(x_label: str, y_label: str, size: tuple[float, float] = (5.2, 2.5)) -> Iterator[tuple[Any, list[str]]]:
+    """Axes to draw on, and a list that holds the SVG element afterwards."""
     import matplotlib
     from matplotlib.figure import Figure
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     style: Any = {
         "svg.fonttype": "none",
@@ -57,38 +114,19 @@ def line_plot(
         "grid.alpha": 0.3,
         "path.simplify_threshold": 0.5,
     }
+    drawn: list[str] = []
     with matplotlib.rc_context(style):
-        figure = Figure(figsize=(5.2, 2.5), layout="constrained")
+        figure = Figure(figsize=size, layout="constrained")
         axes = figure.add_subplot()
-        for curve in curves:
-            axes.plot(
-                curve.x,
-                curve.y,
-                color=curve.colour or _INK,
-                linewidth=2.2 if curve.thick else 0.9,
-                alpha=1.0 if curve.thick else 0.75,
-                linestyle="--" if curve.dashed else "-",
-                marker="o" if np.isfinite(curve.y).sum() <= 20 else "",
-                markersize=3.5 if curve.thick else 2,
-            )
         axes.set_xlabel(x_label)
         axes.set_ylabel(y_label)
         axes.grid(True)
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)
-        if logarithmic and any((curve.y[np.isfinite(curve.y)] > 0).any() for curve in curves):
-            axes.set_yscale("log")
-            # The default writes powers as TeX, and only whole ones, of which there may be none in the range.
-            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axes.yaxis.set_minor_formatter(NullFormatter())
-        elif y_range:
-            axes.set_ylim(*y_range)
-        else:
-            axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        yield axes, drawn
         text = io.StringIO()
         figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
-    return _inline(text.getvalue())
+    drawn.append(_inline(text.getvalue()))
 
 
 def _inline(document: str) -> str:

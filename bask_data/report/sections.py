@@ -31,9 +31,9 @@ from bask_data.kinds import (
     Truth,
     VisibleMasks,
 )
-from bask_data.report import figures as measured
+from bask_data.report import figures
 from bask_data.report import pictures as draw
-from bask_data.report.figures import TrackScores, find, find_recording, find_truth, spread_frames
+from bask_data.report.figures import Measured, TrackScores, find, find_recording, find_truth, spread_frames
 
 N_ITEMS = 3
 """Scenes, demonstrations and variants shown; more would make a page nobody loads."""
@@ -46,6 +46,7 @@ N_TRAIL = 15
 TILE, PICTURE, WIDE = 320, 480, 1100
 FIRST, LAST = (80, 220, 120), (240, 70, 90)
 WHITE = (255, 255, 255)
+BAD = "#e0453a"
 Part = dict[str, Any]
 A = TypeVar("A", bound=Artifact)
 
@@ -55,6 +56,7 @@ class Chosen:
     """The items a page shows: the first few of each sort."""
 
     dataset: Dataset
+    measured: Measured
     scenes: list[str]
     demonstrations: list[str]
     variants: list[str]
@@ -63,9 +65,9 @@ class Chosen:
 
     @cached_property
     def tracks(self) -> list[tuple[str, str, TrackScores]]:
-        """(demonstration, variant, scores) of every track shown; measured once, used by several sections."""
+        """(demonstration, variant, scores) of every track shown."""
         return [
-            (name, variant, TrackScores(self.dataset, name, variant))
+            (name, variant, self.measured.track(name, variant))
             for variant in self.variants
             for name in self.demonstrations
             if find(self.dataset, KeypointTrack, name, variant)
@@ -74,23 +76,16 @@ class Chosen:
     @cached_property
     def masks(self) -> dict[str, dict[str, Any]]:
         """Figures of the masks of each scene shown."""
-        found = {}
-        for name in self.scenes:
-            try:
-                value = measured.masks_figures(find(self.dataset, VisibleMasks, name), find_truth(self.dataset, name))
-            except measured.UNREADABLE as error:
-                value = {"error": measured.what_is_wrong(error)}
-            if value:
-                found[name] = value
-        return found
+        return {name: value for name in self.scenes if (value := self.measured.masks(name))}
 
 
-def choose(dataset: Dataset, n_frames: int) -> Chosen:
+def choose(dataset: Dataset, measured: Measured, n_frames: int) -> Chosen:
     """The first items of each sort."""
     kinds = (DescriptorNet, ReferenceKeypoints, KeypointTrack)
     variants = list(dict.fromkeys(name for kind in kinds for name in dataset.variants(kind)))
     return Chosen(
         dataset=dataset,
+        measured=measured,
         scenes=dataset.items("scene")[:N_ITEMS],
         demonstrations=dataset.items("demonstration")[:N_ITEMS],
         variants=variants[:N_ITEMS],
@@ -104,8 +99,8 @@ def per_item(names: Sequence[str], part: Callable[[str], Part | None]) -> list[P
     for name in names:
         try:
             made = part(name)
-        except measured.UNREADABLE as error:
-            made = {"title": name, "error": measured.what_is_wrong(error)}
+        except figures.UNREADABLE as error:
+            made = {"title": name, "error": figures.what_is_wrong(error)}
         if made:
             parts.append(made)
     return parts
@@ -116,7 +111,7 @@ def per_item(names: Sequence[str], part: Callable[[str], Part | None]) -> list[P
 
 def overview(chosen: Chosen) -> Part:
     """What was made, the headline figures, what is missing and what is not shown."""
-    artifacts = measured.made(chosen.dataset)
+    artifacts = figures.made(chosen.dataset)
     return {
         "headline": _headline(chosen),
         "artifacts": artifacts[: 3 * N_ROWS],
@@ -204,8 +199,8 @@ def _headline(chosen: Chosen) -> list[tuple[str, str]]:
         if variant != chosen.tracks[0][1]:  # Other variants are compared in their own section.
             continue
         try:
-            found = measured.figures_of_track(scored)
-        except measured.UNREADABLE:  # Its own section says so.
+            found = figures.figures_of_track(scored)
+        except figures.UNREADABLE:  # Its own section says so.
             continue
         where = name if variant == "main" else f"{name} ({variant})"
         rows.append((str(found["n_keypoints"]), f"keypoints tracked over {found['n_frames']} frames of {where}"))
@@ -222,7 +217,7 @@ def _readable(artifact: A | None) -> A | None:
         return None
     try:
         _ = artifact.metadata
-    except measured.UNREADABLE:
+    except figures.UNREADABLE:
         return None
     return artifact
 
@@ -247,7 +242,7 @@ def frames(chosen: Chosen) -> list[Part]:
         if recording is None:
             return None
         sort = "scan" if isinstance(recording, Scan) else "demonstration"
-        cameras = measured.recording_figures(recording)
+        cameras = figures.recording_figures(recording)
         return {
             "title": f"{name} ({sort})",
             "cameras": [
@@ -293,16 +288,70 @@ def reconstruction(chosen: Chosen) -> list[Part]:
         found = find(chosen.dataset, Reconstruction, name)
         if found is None:
             return None
-        numbers = measured.reconstruction_figures(found)
+        numbers = figures.reconstruction_figures(found)
         low, high = (np.array(corner) for corner in numbers["bounds_m"])
         return {
             "title": name,
             "numbers": numbers,
             "box": " × ".join(f"{edge:.2f}" for edge in high - low),
+            "suspects": numbers["suspect_frames"][:N_ROWS],
+            "n_suspects_left_out": max(len(numbers["suspect_frames"]) - N_ROWS, 0),
+            "unmeasured": [
+                {
+                    "centre": ", ".join(f"{x:.2f}" for x in region["centre"]),
+                    "size_cm": " × ".join(f"{100 * edge:.1f}" for edge in region["size"]),
+                    "volume_l": 1000 * region["volume"],
+                }
+                for region in numbers["unmeasured"][:N_ROWS]
+            ],
+            "plots": _frame_plots(found),
             "tiles": _mesh_tiles(chosen.dataset, name, found, None),
         }
 
     return per_item(chosen.scenes, part)
+
+
+def _frame_plots(reconstruction: Reconstruction) -> list[Part]:
+    """How well the mesh explains each frame; those that stand out are red."""
+    from bask_data.report.plots import Curve, line_plot
+
+    table = {name: reconstruction.frames[name].to_numpy() for name in reconstruction.frames.column_names}
+    if not np.isfinite(table["residual_abs"]).any():
+        return []
+    cameras = sorted(set(table["camera"].tolist()))
+    colours = [""] if len(cameras) == 1 else [draw.css(colour) for colour in draw.palette(len(cameras))]
+    legend = [{"colour": css, "name": name, "last": None} for name, css in zip(cameras, colours, strict=True)]
+
+    def plot(title: str, column: str, factor: float, y_label: str, caption: str, top: float | None) -> Part:
+        curves = []
+        for name, css in zip(cameras, colours, strict=True):
+            mine = table["camera"] == name
+            curves.append(Curve(table["frame"][mine], factor * table[column][mine].astype(np.float64), css))
+        bad = table["suspect"]
+        if bad.any():
+            curves.append(Curve(table["frame"][bad], factor * table[column][bad].astype(np.float64), BAD, dots=True))
+        svg = line_plot(curves, x_label="frame", y_label=y_label, y_range=(0, top) if top else None)
+        return {"title": title, "svg": svg, "caption": caption, **({"legend": legend} if len(cameras) > 1 else {})}
+
+    return [
+        plot(
+            "How far each frame is from the mesh",
+            "residual_abs",
+            1000.0,
+            "median distance, mm",
+            "Measured depth against the mesh. Red frames are explained far worse than the others: "
+            "their poses are wrong, or something moved.",
+            None,
+        ),
+        plot(
+            "How much of each frame the mesh explains",
+            "explained",
+            1.0,
+            "share of the measurements",
+            "The share of a frame's measurements in the workspace that lie on the mesh.",
+            1.02,
+        ),
+    ]
 
 
 def objects(chosen: Chosen) -> list[Part]:
@@ -312,16 +361,15 @@ def objects(chosen: Chosen) -> list[Part]:
         found = find(chosen.dataset, ObjectInstances, name)
         if found is None:
             return None
-        numbers = measured.objects_figures(found)
+        numbers = figures.objects_figures(found)
         mesh = find(chosen.dataset, Reconstruction, name)
-        colours = draw.palette(len(found.instances))
         rows = [
             {
-                "colour": draw.css(colours[i]),
+                "colour": draw.css(draw.instance_colour(row["id"])),
                 **row,
                 "extents_cm": " × ".join(f"{100 * edge:.1f}" for edge in row["extents"]),
             }
-            for i, row in enumerate(numbers["instances"][:N_ROWS])
+            for row in numbers["instances"][:N_ROWS]
         ]
         fits = mesh is not None and len(mesh.vertices) == len(found.vertex_instance)
         return {
@@ -329,6 +377,19 @@ def objects(chosen: Chosen) -> list[Part]:
             "numbers": numbers,
             "rows": rows,
             "n_rows_left_out": max(len(numbers["instances"]) - N_ROWS, 0),
+            "planes": [
+                {**row, "normal": ", ".join(f"{x:.2f}" for x in row["plane"][:3])} for row in numbers["planes"][:N_ROWS]
+            ],
+            "neighbours": [
+                {
+                    "a": row["a"],
+                    "b": row["b"],
+                    "gap_m": row["gap_m"],
+                    "colour_a": draw.css(draw.instance_colour(row["a"])),
+                    "colour_b": draw.css(draw.instance_colour(row["b"])),
+                }
+                for row in numbers["neighbours"][:N_ROWS]
+            ],
             "tiles": _mesh_tiles(chosen.dataset, name, mesh, found) if mesh is not None and fits else [],
             "why_no_picture": ""
             if fits
@@ -390,7 +451,7 @@ def masks(chosen: Chosen) -> list[Part]:
         if "error" in numbers:
             return {"title": name, "error": numbers["error"]}
         truth, scan = find_truth(chosen.dataset, name), find(chosen.dataset, Scan, name)
-        colours = [draw.css(colour) for colour in draw.palette(found.n_instances)]
+        colours = [draw.css(draw.instance_colour(i)) for i in range(1, draw.N_COLOURS + 1)]
         objects = find(chosen.dataset, ObjectInstances, name)
         names = {row.id: row.name for row in objects.instances} if objects else {}
         tiles = [
@@ -405,7 +466,7 @@ def masks(chosen: Chosen) -> list[Part]:
             "tiles": tiles,
             "n_cameras_left_out": max(len(found.camera_names) - N_CAMERAS, 0),
             "rows": [
-                {**row, "colour": colours[row["id"] - 1], "name": names.get(row["id"], "")}
+                {**row, "colour": draw.css(draw.instance_colour(row["id"])), "name": names.get(row["id"], "")}
                 for row in numbers["instances"][:N_ROWS]
             ],
             "n_rows_left_out": max(len(numbers["instances"]) - N_ROWS, 0),
@@ -423,7 +484,8 @@ def _mask_tiles(scan: Any, masks: VisibleMasks, truth: Truth | None, camera: str
     tiles = []
     for i_frame in spread_frames(min(frames.n_frames, instances.n_frames), n_frames):
         labels = truth.instance(camera, i_frame) if labelled and truth is not None else None
-        picture = draw.mask_picture(frames.rgb(i_frame), instances.instance(i_frame), labels, PICTURE)
+        instance, measured = instances.instance(i_frame), instances.measured(i_frame)
+        picture = draw.mask_picture(frames.rgb(i_frame), instance, labels, PICTURE, measured)
         tiles.append({"uri": draw.jpeg_uri(picture), "text": f"{camera}, frame {i_frame}"})
     return tiles
 
@@ -438,22 +500,66 @@ def matches(chosen: Chosen) -> list[Part]:
         found = find(chosen.dataset, Correspondences, name)
         if found is None:
             return None
-        numbers = measured.matches_figures(found)
+        numbers = figures.matches_figures(found)
         scan = find(chosen.dataset, Scan, name)
         most = max([numbers["n_matches"], *numbers["rejections"].values()], default=1) or 1
+        reasons = sorted(numbers["rejections"], key=lambda why: -numbers["rejections"][why])
         bars = [("accepted", numbers["n_matches"]), *sorted(numbers["rejections"].items(), key=lambda row: -row[1])]
-        colours = [draw.css(colour) for colour in draw.palette(256)]
         return {
             "title": name,
             "numbers": numbers,
             "bars": [{"name": why, "n": n, "width": round(100 * n / most, 1)} for why, n in bars[:N_ROWS]],
             "tiles": _pair_tiles(scan, found) if scan else [],
-            "per_instance": [
-                {"id": i, "n": n, "colour": colours[i - 1]} for i, n in list(numbers["matches_per_instance"].items())
-            ][:N_ROWS],
+            "reasons": reasons,
+            "table": _tried_per_object(numbers, reasons)[:N_ROWS],
+            "plots": _change_plots(found),
         }
 
     return per_item(chosen.scenes, part)
+
+
+def _tried_per_object(numbers: dict[str, Any], reasons: Sequence[str]) -> list[Part]:
+    """By object: how many of its pixels that were tried became matches, and why the others did not."""
+    matches, rejected = numbers["matches_per_instance"], numbers["rejections_per_instance"]
+    rows = []
+    for i in sorted({*matches, *rejected}):
+        counts = [rejected.get(i, {}).get(why, 0) for why in reasons]
+        tried = matches.get(i, 0) + sum(counts)
+        rows.append(
+            {
+                "id": i,
+                "colour": draw.css(draw.instance_colour(i)),
+                "n_matches": matches.get(i, 0),
+                "tried": tried,
+                "share": matches.get(i, 0) / tried if tried else None,
+                "shares": [n / tried if tried else None for n in counts],
+            }
+        )
+    return rows
+
+
+def _change_plots(correspondences: Correspondences) -> list[Part]:
+    """How different the two views of a pair are."""
+    from bask_data.report.plots import histogram
+
+    pairs = correspondences.pairs()
+    if not pairs.num_rows:
+        return []
+    change = figures.view_changes(correspondences.matches())
+    distance, angle = (pairs[name].to_numpy().astype(np.float64) for name in ("distance", "angle"))
+    drawn = [
+        ("Distance of the cameras", 100 * distance, "centimetres", False),
+        ("Angle between them", np.rad2deg(angle), "degrees", False),
+    ]
+    if len(change.scale):
+        drawn += [
+            ("Change of scale", change.scale, "times larger in the second view", True),
+            ("Rotation in the image", np.rad2deg(change.rotation), "degrees", False),
+        ]
+    return [
+        {"title": title, "svg": histogram(values, x_label=x_label, y_label="pairs", logarithmic=logarithmic)}
+        for title, values, x_label, logarithmic in drawn
+    ]
 
 
 def _pair_tiles(scan: Scan, correspondences: Correspondences) -> list[Part]:
@@ -500,7 +606,7 @@ def training(chosen: Chosen) -> list[Part]:
             return None
         return {
             "title": variant,
-            "numbers": measured.descriptor_figures(found),
+            "numbers": figures.descriptor_figures(found),
             "plots": _curve_plots(found),
         }
 
@@ -633,7 +739,7 @@ def heat_maps(chosen: Chosen) -> list[Part]:
         names = [name for name in chosen.demonstrations if find(chosen.dataset, Demonstration, name)]
         if found is None or not names or not found.picks:
             return None
-        descriptor = measured.input_variant(chosen.dataset, found, DescriptorNet, variant)
+        descriptor = figures.input_variant(chosen.dataset, found, DescriptorNet, variant)
         if descriptor is None:
             return {
                 "title": names[0] + f" ({variant})",
@@ -766,7 +872,7 @@ def tracks(chosen: Chosen) -> list[Part]:
 
     def part(label: str) -> Part:
         name, variant, scored = labels[label]
-        numbers = measured.figures_of_track(scored)
+        numbers = figures.figures_of_track(scored)
         colours = draw.palette(len(scored.track.names))
         return {
             "title": name + (f" ({variant})" if len(chosen.variants) > 1 else ""),
@@ -874,7 +980,7 @@ def _track_plots(scored: TrackScores, colours: list[draw.Colour]) -> list[Part]:
                 "title": "On the right object",
                 "svg": _share_plot(scored),
                 "caption": "Share of the keypoints whose object is in view that lie on it (solid) or within "
-                f"{measured.TOLERANCE_PX:g} px of it (dashed), by the labels. "
+                f"{figures.TOLERANCE_PX:g} px of it (dashed), by the labels. "
                 "Orange: what pixels drawn blindly would reach.",
             }
         )

@@ -12,7 +12,8 @@ import numpy as np
 
 from bask_data.artifact import Artifact
 from bask_data.errors import BadData, BaskError
-from bask_data.report.pictures import N_COLOURS, Colour, palette
+from bask_data.kinds.truth import ROBOT
+from bask_data.report.pictures import Colour, instance_colour
 from bask_data.view import Shown
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ JPEG_QUALITY = 85
 N_FRAMES_UNFLUSHED = 8
 FLUSH_SECONDS = 120
 """Without a limit, Rerun may wait for ever for a writer that died of a full disk."""
-ROBOT = 255
-"""Label of the gripper in the truth of simulated recordings."""
 GREY: Colour = (150, 150, 150)
 ORANGE: Colour = (240, 150, 40)
 
@@ -137,7 +136,7 @@ def name_labels(sheet: Sheet, places: Sequence[Sequence[str]], names: dict[int, 
 
 def label_colour(label: int) -> Colour:
     """The colour of an instance or label, as reports have it."""
-    return ORANGE if label == ROBOT else palette(N_COLOURS)[(label - 1) % N_COLOURS]
+    return ORANGE if label == ROBOT else instance_colour(label)
 
 
 def jpeg(rgb: np.ndarray) -> bytes:

@@ -244,7 +244,7 @@ def test_figures_on_the_page_are_those_of_the_summary(full_html, found):
         "Validated on: held-out frames of scan-a. 99 steps.",
         "2 small clusters were dropped",
         "most matches: wrist frame",
-        "outside image",
+        "outside b",
     ):
         assert expected.replace("\u00a0", " ") in text
 
