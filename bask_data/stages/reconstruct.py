@@ -201,14 +201,19 @@ class _Survey:
 
 
 def _survey(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) -> _Survey:
-    """Look over frames spread evenly over the scan."""
+    """Look over frames spread evenly over the scan, each pose once.
+
+    A camera that stands still agrees with itself on all it sees, the floor behind the table too.
+    """
     import numpy as np
 
     from bask_data.core import depth, tsdf, workspace
 
+    poses = {(camera.name, camera.world_from_cameras[i].tobytes()): (camera, i) for camera, i in reversed(frames)}
+    moved = list(poses.values())[::-1]
     clouds, touched = [], []
-    for i_chosen in progress(_spread(len(frames), N_SURVEYED), "looking over the scan"):
-        camera, i_frame = frames[i_chosen]
+    for i_chosen in progress(_spread(len(moved), N_SURVEYED), "looking over the scan"):
+        camera, i_frame = moved[i_chosen]
         measured = depth.cleaned(camera.depth(i_frame), params.near, params.far)
         view = (measured, camera.K, camera.world_from_cameras[i_frame])
         clouds.append(workspace.sampled_points(*view))
@@ -225,7 +230,7 @@ def _survey(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) 
     if params.workspace is not None:
         bounds = np.reshape(params.workspace, (2, 3)).astype(float)
     inside = [blocks[tsdf.blocks_inside(blocks, params.voxel_size, bounds)] for blocks in touched]
-    return _Survey(bounds, np.unique(np.concatenate(inside), axis=0), tsdf.expected_blocks(inside, len(frames)))
+    return _Survey(bounds, np.unique(np.concatenate(inside), axis=0), tsdf.expected_blocks(inside, len(moved)))
 
 
 def _most_blocks(survey: _Survey, params: ReconstructParams) -> int:
@@ -459,11 +464,11 @@ def _warnings(assessment: _Assessment, params: ReconstructParams) -> list[str]:
             f"{len(blind)} of {len(rows)} frames have no depth between {params.near:g} and {params.far:g} m and were "
             f"skipped: {_listed(blind)}."
         )
-    usual = _median(row.explained for row in rows)
-    if usual is not None and usual < POOR:
+    usual, error = _median(row.explained for row in rows), _median(row.residual_abs for row in rows)
+    if usual is not None and error is not None and usual < POOR:
         warnings.append(
-            f"only {usual:.0%} of the depth lies on the surface: check the camera poses, the depth scale and the "
-            "intrinsics."
+            f"only {usual:.0%} of the depth lies on the surface, it is off by {100 * error:.1f} cm in the median: "
+            "check the camera poses, the depth scale and the intrinsics, or the sensor is that noisy."
         )
     if suspects := [row for row in rows if row.suspect]:
         figures = ", ".join(

@@ -1,0 +1,20 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from bask_data.cli import app
+from bask_data.kinds import Reconstruction
+from bask_data.sim.options import SimOptions
+from bask_data.stages.simulate import simulate
+
+
+def test_a_camera_that_stands_still_does_not_make_the_floor_worth_reconstructing(tmp_path: Path) -> None:
+    options = SimOptions(task="phone", height=60, width=80, frames=24, depth_noise=0.0)
+    simulate(tmp_path / "d", options, n_scans=1, n_demonstrations=0)
+    answer = CliRunner().invoke(app, ["reconstruct", str(tmp_path / "d"), "--voxel-size", "0.008"])
+    assert answer.exit_code == 0, answer.output
+    lowest_z = Reconstruction(tmp_path / "d" / "reconstruction" / "phone_scan0").metadata.bounds[2]
+    assert lowest_z == pytest.approx(-0.02, abs=0.1)  # the floor is at -0.75
