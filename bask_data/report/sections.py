@@ -47,6 +47,8 @@ TILE, PICTURE, WIDE = 320, 480, 1100
 FIRST, LAST = (80, 220, 120), (240, 70, 90)
 WHITE = (255, 255, 255)
 BAD = "#e0453a"
+CAMERA_COLOURS = ("", "#4a90d0", "#3f9f74", "#a07cc0", "#b8923a")
+"""Of curves, none of them near `BAD`; the first is that of the text."""
 Part = dict[str, Any]
 A = TypeVar("A", bound=Artifact)
 
@@ -243,10 +245,11 @@ def frames(chosen: Chosen) -> list[Part]:
             return None
         sort = "scan" if isinstance(recording, Scan) else "demonstration"
         cameras = figures.recording_figures(recording)
+        n_frames = max(chosen.n_frames // min(len(cameras), N_CAMERAS), 2) if cameras else 0
         return {
             "title": f"{name} ({sort})",
             "cameras": [
-                {"name": camera.name, **cameras[camera.name], **_contact_sheet(camera, cameras[camera.name], chosen)}
+                {"name": camera.name, **cameras[camera.name], **_contact_sheet(camera, cameras[camera.name], n_frames)}
                 for camera in recording.cameras[:N_CAMERAS]
             ],
             "n_cameras_left_out": max(len(cameras) - N_CAMERAS, 0),
@@ -255,10 +258,10 @@ def frames(chosen: Chosen) -> list[Part]:
     return per_item([*chosen.scenes, *chosen.demonstrations], part)
 
 
-def _contact_sheet(camera: Any, found: dict[str, Any], chosen: Chosen) -> Part:
+def _contact_sheet(camera: Any, found: dict[str, Any], n_frames: int) -> Part:
     near, far = found["depth_range_m"]
     tiles = []
-    for i_frame in spread_frames(camera.n_frames, chosen.n_frames):
+    for i_frame in spread_frames(camera.n_frames, n_frames):
         depth = draw.depth_picture(_shrunk_depth(camera.depth(i_frame)), near, far)
         tiles.append(
             {
@@ -319,7 +322,7 @@ def _frame_plots(reconstruction: Reconstruction) -> list[Part]:
     if not np.isfinite(table["residual_abs"]).any():
         return []
     cameras = sorted(set(table["camera"].tolist()))
-    colours = [""] if len(cameras) == 1 else [draw.css(colour) for colour in draw.palette(len(cameras))]
+    colours = [CAMERA_COLOURS[i % len(CAMERA_COLOURS)] for i in range(len(cameras))]
     legend = [{"colour": css, "name": name, "last": None} for name, css in zip(cameras, colours, strict=True)]
 
     def plot(title: str, column: str, factor: float, y_label: str, caption: str, top: float | None) -> Part:
@@ -339,8 +342,12 @@ def _frame_plots(reconstruction: Reconstruction) -> list[Part]:
             "residual_abs",
             1000.0,
             "median distance, mm",
-            "Measured depth against the mesh. Red frames are explained far worse than the others: "
-            "their poses are wrong, or something moved.",
+            "Measured depth against the mesh."
+            + (
+                " Red frames are explained far worse than the others: their poses are wrong, or something moved."
+                if table["suspect"].any()
+                else ""
+            ),
             None,
         ),
         plot(
@@ -408,15 +415,17 @@ def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: Obje
         return []
     scan = find(dataset, Scan, name)
     cameras = scan.cameras if scan else []
-    path = cameras[0].world_from_cameras if cameras else np.eye(4)[None]
+    # A camera that stands still shows one side only.
+    camera = max(cameras, key=lambda one: np.ptp(one.world_from_cameras[:, :3, 3], axis=0).sum(), default=None)
+    path = camera.world_from_cameras if camera else np.eye(4)[None]
     plane = find(dataset, ObjectInstances, name)
     up = up_direction(plane.support_plane if plane else None, path)
     scene = MeshScene(mesh.vertices, mesh.triangles)
     colours = mesh.colors if objects is None else draw.instance_colours(objects.vertex_instance, mesh.colors)
     sharp, ambient = objects is not None, 0.65 if objects is None else 0.35
     tiles = []
-    if cameras:
-        camera, i_frame = cameras[0], cameras[0].n_frames // 2
+    if camera:
+        i_frame = camera.n_frames // 2
         height, width = round(camera.height * PICTURE / camera.width), PICTURE
         K = camera.K.copy()
         K[:2, 2] = scale_pixels(camera.K[:2, 2], (camera.height, camera.width), (height, width))
@@ -431,7 +440,7 @@ def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: Obje
         orbit_views(mesh.vertices, path, up, height=3 * PICTURE // 4, width=PICTURE), ("left", "right"), strict=True
     ):
         picture = scene.render(colours, view, sharp=sharp, ambient=ambient)
-        if objects is None and cameras:
+        if objects is None and camera:
             picture = draw_path(picture, view, path, FIRST, LAST)
         tiles.append({"uri": draw.jpeg_uri(picture), "text": f"from above, {side}"})
     return tiles
@@ -458,7 +467,9 @@ def masks(chosen: Chosen) -> list[Part]:
             tile
             for camera in (scan.camera_names[:N_CAMERAS] if scan else [])
             if camera in found.camera_names
-            for tile in _mask_tiles(scan, found, truth, camera, chosen.n_frames)
+            for tile in _mask_tiles(
+                scan, found, truth, camera, max(chosen.n_frames // min(len(found.camera_names), 2), 2)
+            )
         ]
         return {
             "title": name,

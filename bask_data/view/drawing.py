@@ -2,9 +2,10 @@
 
 Every item has a tree of its own, `/<item>`, as items have world frames of their own:
 
-    world/cameras/<camera>/{rgb,depth,masks,truth,keypoints}    world/camera_paths/<camera>
-    world/{surface,instances,boxes}                             world/matches, matches/{images,lines,points}
-    world/{keypoints,spread,keypoint_paths}                     world/{gripper,gripper_path}
+    world/cameras/<camera>/{rgb,depth,masks,inferred,truth,keypoints}
+    world/camera_paths/<camera>
+    world/{surface,instances,boxes}            world/matches, matches/{images,lines,points}
+    world/{keypoints,spread,keypoint_paths}    world/{gripper,gripper_path}
     plots/{spread,gripper_width,action}
 
 Times are `frame`, counted from 0, `time` in seconds and, for matches, `pair`.

@@ -11,6 +11,7 @@ from bask_data.artifact import Artifact
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
 from bask_data.kinds import Camera, Recording, Scan, VisibleMasks
+from bask_data.kinds.masks import CameraMasks
 from bask_data.progress import progress
 from bask_data.report.figures import find, find_truth, spread_frames
 from bask_data.view import Choice
@@ -28,7 +29,10 @@ def draw_frames(sheet: Sheet, drawn: Drawn, dataset: Dataset, name: str, source:
         frames = range(0, camera.n_frames, choice.every)
         _draw_camera(sheet, camera, frames, begin)
         if masks is not None and camera.name in masks.camera_names:
-            _draw_labels(sheet, camera, frames, begin, masks, "masks", masks.camera(camera.name).instance)
+            of_camera = masks.camera(camera.name)
+            _draw_labels(sheet, camera, frames, begin, masks, "masks", of_camera.instance)
+            _draw_labels(sheet, camera, frames, begin, masks, "inferred", partial(_inferred, of_camera))
+            name_labels(sheet, [("world", "cameras", camera.name, "inferred")], {1: "no depth was measured here"})
         if truth is not None and camera.name in truth.camera_names:
             _draw_labels(sheet, camera, frames, begin, truth, "truth", partial(truth.instance, camera.name))
         drawn.cameras.append(camera.name)
@@ -92,6 +96,11 @@ def _draw_labels(
             where = artifact.path / camera.name
             image = expect(where, f"frame {i_frame}", read(i_frame), (camera.height, camera.width), "u")
             sheet.log(("world", "cameras", camera.name, layer), rr.SegmentationImage(image, opacity=0.5))
+
+
+def _inferred(masks: CameraMasks, i_frame: int) -> np.ndarray:
+    """1 where a mask, or its absence, is an inference without a measurement."""
+    return (~masks.measured(i_frame)).astype(np.uint8)
 
 
 def _depth_range(camera: Camera) -> tuple[float, float]:

@@ -52,7 +52,7 @@ def _space(item: Drawn, name: str, *, hidden: Sequence[str], depth: bool) -> Any
     overrides: dict[Any, Any] = {f"{root}/{layer}": rrb.EntityBehavior(visible=False) for layer in hidden}
     for camera in item.cameras:
         place = f"{root}/cameras/{_escaped(camera)}"
-        for layer in ("truth", "keypoints", *(() if depth else ("depth",))):
+        for layer in ("truth", "inferred", "keypoints", *(() if depth else ("depth",))):
             overrides[f"{place}/{layer}"] = rrb.EntityBehavior(visible=False)
     eye = None
     if item.eye is not None:
@@ -82,8 +82,8 @@ def _images(item: Drawn, camera: str) -> Any:
     import rerun.blueprint as rrb
 
     origin = f"/{item.name}/world/cameras/{_escaped(camera)}"
-    hidden: dict[Any, Any] = {f"{origin}/truth": rrb.EntityBehavior(visible=False)}
-    colour = [f"$origin/{layer}" for layer in ("rgb", "masks", "truth", "keypoints")]
+    hidden: dict[Any, Any] = {f"{origin}/{layer}": rrb.EntityBehavior(visible=False) for layer in ("truth", "inferred")}
+    colour = [f"$origin/{layer}" for layer in ("rgb", "masks", "inferred", "truth", "keypoints")]
     return rrb.Horizontal(
         rrb.Spatial2DView(origin=origin, contents=colour, name=camera, overrides=hidden),
         rrb.Spatial2DView(origin=origin, contents=["$origin/depth"], name=f"{camera}, depth"),

@@ -198,13 +198,16 @@ def frame_mesh(seen: Views) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndar
 
 
 def _write_masks(out: Path, seen: Views) -> None:
-    """The true masks, but for the last instance's lower half of the image, which is lost."""
+    """The true masks, but for the last instance's lower half of the image, which is lost; the left third of the image
+    was not measured."""
     with VisibleMasks.writer(out, 2) as writer:
         camera = writer.camera("wrist", len(seen.views), HEIGHT, WIDTH)
         for view in seen.views:
             instance = view.instance.copy()
             instance[HEIGHT // 2 :][instance[HEIGHT // 2 :] == 2] = 0
-            camera.append(instance, np.array([1.0, 0.5], np.float32))
+            measured = np.ones((HEIGHT, WIDTH), bool)
+            measured[:, : WIDTH // 3] = False
+            camera.append(instance, np.array([1.0, 0.5], np.float32), measured)
 
 
 def _write_matches(out: Path, seen: Views) -> None:

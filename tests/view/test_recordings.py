@@ -33,7 +33,7 @@ from tests.view.recordings import Recording, colours, publish_demonstration
 
 SCENE = {
     *("world", "world/surface", "world/instances", "world/boxes", "world/camera_paths/wrist", "world/cameras/wrist"),
-    *(f"world/cameras/wrist/{layer}" for layer in ("rgb", "depth", "masks", "truth")),
+    *(f"world/cameras/wrist/{layer}" for layer in ("rgb", "depth", "masks", "inferred", "truth")),
     *("world/matches", "matches/images", "matches/lines", "matches/points"),
 }
 DEMONSTRATION = {
@@ -167,7 +167,13 @@ def test_images_are_as_recorded(dataset, saved):
         depth = saved.bytes(f"{WRIST}/depth", "DepthImage:buffer", i).view(np.uint16).reshape(HEIGHT, WIDTH)
         np.testing.assert_array_equal(depth, camera.depth_raw(i))
         assert saved.array(f"{WRIST}/depth", "DepthImage:meter", i)[0] == pytest.approx(1 / camera.depth_scale)
-        for layer, labels in (("masks", masks.instance(i)), ("truth", truth.instance("wrist", i))):
+        inferred = ~masks.measured(i)
+        assert inferred.any()
+        for layer, labels in (
+            ("masks", masks.instance(i)),
+            ("inferred", inferred),
+            ("truth", truth.instance("wrist", i)),
+        ):
             stored = saved.bytes(f"{WRIST}/{layer}", "SegmentationImage:buffer", i).reshape(HEIGHT, WIDTH)
             np.testing.assert_array_equal(stored, labels)
 
