@@ -161,8 +161,8 @@ def outliers(
     A frame is held against all others, and, in the share explained, against the two before and after it: what a
     camera looks at makes a larger difference than a pose that is a little off, but it changes slowly. Limits are in
     robust deviations, as recordings differ, with floors below which nothing is worth a word. On eight recordings of
-    10 to 200 frames the worst good frame was 5 deviations from those around it, and frames with poses 10 cm off were
-    6 to 350; 39 of 40 were found.
+    10 to 200 frames the worst good frame was 5 deviations from those around it; 40 of 40 frames with poses 10 cm off
+    were found.
     """
     judged = (n_judged >= LEAST_JUDGED) & np.isfinite(explained) & np.isfinite(residual_abs)
     odd = np.zeros(len(judged), bool)
