@@ -162,7 +162,8 @@ class Volume:
         to one of twice the size, which takes seconds and three times the memory, though most of the blocks are there.
         """
         table = self._grid.hashmap()
-        if table.size() + blocks.shape[0] <= table.capacity():
+        n_most = table.capacity() if self.max_blocks is None else min(table.capacity(), self.max_blocks)
+        if table.size() + blocks.shape[0] <= n_most:
             return int(blocks.shape[0])
         n_needed = int(table.size() + np.count_nonzero(~table.find(blocks)[1].numpy()))
         if self.max_blocks is not None and n_needed > self.max_blocks:
