@@ -22,6 +22,10 @@ N_CELLS = 48
 SMALLEST_CELL = 0.003
 """Metres."""
 
+INSET = 1.0
+"""Cells inside the hull at which what was not measured is filled. The vertices farthest out, which make the hull, are
+where noise put them."""
+
 SEEN_THROUGH = 2
 """Frames that must have measured beyond a cell: one alone may be a reflection."""
 
@@ -83,8 +87,7 @@ class Completion:
         for block in self._blocks:
             solid = ~((block.n_through >= SEEN_THROUGH) & (block.n_through > block.n_on))
             self._allowed.append(_grid(block, solid))
-            # Half a cell inside the hull, so that the faces of the cells lie on it and not outside.
-            parts.append(_faces(_grid(block, solid & (block.outside <= -0.5 * block.cell)), block))
+            parts.append(_faces(_grid(block, solid & (block.outside <= -INSET * block.cell)), block))
             labels.append(np.full(len(parts[-1][1]), block.instance, np.uint8))
         self._face_label = np.concatenate([*labels, np.zeros(1, np.uint8)])
         start = np.cumsum([0, *(len(points) for points, _ in parts)])

@@ -41,9 +41,9 @@ N_RESIDUALS_LEAST = 400
 EDGE_REACH = 2
 """Pixels by which the silhouette of the mesh may miss that of the object; about a voxel."""
 
-VOTE_RADII = (2, 8)
+VOTE_RADII = (2, 4)
 """Pixels around one without measurement in which measured ones speak for it; the wider window where the first is
-silent."""
+silent. Farther off, a shiny face that is wrongly measured in one place would lose all that was not measured."""
 
 MARGIN = 1 + EDGE_REACH
 """Pixels cast around an object's outline, so that the edges can be set right from both sides."""
@@ -489,6 +489,8 @@ def foreign(
     n_around = cv2.boxFilter((off > 0).astype(np.float32), -1, (5, 5), normalize=False)
     mean_off = cv2.boxFilter(off, -1, (5, 5), normalize=False) / np.maximum(n_around, 1)
     strange = silent & region & (mean_off > max(COLOUR_OFF * usual, LEAST_COLOUR_OFF))
+    if not strange.any():
+        return nothing
     _, component = cv2.connectedComponents((strange | in_front).astype(np.uint8), connectivity=8)
     # What lies outside the region was not looked at, so a thing may come from there.
     inner = cv2.erode(region.astype(np.uint8), np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
