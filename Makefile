@@ -8,7 +8,7 @@ ARGS ?=
 
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help setup test test-slow demo check benchmark lock clean
+.PHONY: help setup test test-slow demo check benchmark accuracy lock clean
 
 help:
 	@echo "make setup      .venv with the locked versions; system libraries too, or the command that brings them"
@@ -17,6 +17,7 @@ help:
 	@echo "make test-slow  the tests that take long"
 	@echo "make check      formatting, lint, types, layers, rendered files"
 	@echo "make benchmark  how fast each stage is, against a plain way of doing the same"
+	@echo "make accuracy   how right masks and matches are, on simulated, ray-cast and real scenes (half an hour)"
 	@echo "make lock       move requirements.lock to the newest versions"
 	@echo "make clean      remove build/ and caches, not .venv"
 
@@ -46,6 +47,9 @@ check: setup
 
 benchmark: setup
 	$(VENV)/python benchmarks/run.py $(ARGS)
+
+accuracy: setup
+	$(VENV)/python benchmarks/accuracy.py $(ARGS)
 
 lock: setup
 	$(VENV)/python .ci/lock.py
