@@ -27,9 +27,14 @@ RIVAL_SHARE = 0.5
 """A second plane this large beside the support is worth a word: the choice between them was close."""
 NOISE_SIGMAS = 4.0
 """Surface further above a plane than this is no noise of the plane."""
+NOISIEST = 2.5
+"""Times the tolerance of the search that a support may be thick. What is lower than the noise of a bad sensor cannot be
+told from it; the feet of what is higher are taken back by their steepness."""
+LOWEST_STEP = 3.0
+"""Times the tolerance that a step is above the support; below, it is the support's own noise."""
 MAX_HEIGHT = 1.0
 """Metres above the support beyond which nothing is an object, unless it was said otherwise."""
-HIGHEST_FOOT = 0.02
+HIGHEST_FOOT = 0.03
 """Metres; above this, surface below what was asked for is not taken back, however steep."""
 SMALLEST_SUPPORT = 0.15
 """Metres across; a plane smaller than this is more likely the face of an object."""
@@ -113,7 +118,7 @@ def find_background(
         found, warnings = given_support(plane, surface, inlier), ()
     if found is None:
         return Background(np.zeros(len(real), bool), np.zeros(len(real), bool), warnings=warnings)
-    cut = thickness(found, voxel_size, inlier)
+    cut = thickness(found, voxel_size, NOISIEST * inlier)
     low, high = (cut, MAX_HEIGHT) if above is None else above
     heights = height(surface.points, found.plane)
     over = real & (heights > 0) & (heights < high)
@@ -129,6 +134,7 @@ def find_background(
     if support == "planes":
         for wall, is_wall in walls(surface, beside & (heights > low), floor, found.plane, rng, inlier, max_extent):
             apart = height(surface.points, wall.plane)
+            # No more than the tolerance here: what leans on a wall would go with it.
             depth = thickness(wall, voxel_size, inlier)
             over &= ~on_plane(surface.points, surface.normals, wall.plane, depth)
             if is_wall:
@@ -138,9 +144,9 @@ def find_background(
     return Background(over & (heights > low), feet, found, tuple(structure), low, warnings)
 
 
-def thickness(plane: Plane, voxel_size: float, inlier: float) -> float:
+def thickness(plane: Plane, voxel_size: float, most: float) -> float:
     """Metres from a plane within which surface is the plane's: a voxel, or the noise."""
-    return max(voxel_size, min(NOISE_SIGMAS * plane.noise, inlier))
+    return max(voxel_size, min(NOISE_SIGMAS * plane.noise, most))
 
 
 def given_support(plane: Float[ndarray, "4"], surface: Surface, inlier: float) -> Plane:
@@ -243,6 +249,7 @@ def walls(
         patch = patch[largest_patch(patch @ plane_axes(one.plane).T, above.areas[mine])]
         is_wall = bounds_scene(one, patch, scene, support, inlier)
         is_level = abs(one.plane[:3] @ support[:3]) > LEVEL
+        is_level &= float(np.median(height(patch, support))) > LOWEST_STEP * inlier
         if is_wall or (is_level and longest(patch) > max_extent):
             found.append((one, is_wall))
     return found
