@@ -168,8 +168,8 @@ def view(
         cast, cosine = surface.cast(uv, K, world_from_camera)
         rendered = np.zeros_like(measured)
         rendered.reshape(-1)[where] = np.where(np.isfinite(cast), cast, 0)
-        depth, contradicted, noise = refined(measured, rendered, tolerance)
-        sure = np.where(contradicted, np.uint8(0), sure)
+        depth, doubtful, noise = refined(measured, rendered, tolerance)
+        sure = np.where(doubtful, np.uint8(0), sure)
         sure.reshape(-1)[where[cosine < GRAZING]] = 0
     instance, depth = np.ascontiguousarray(instance), np.ascontiguousarray(depth)
     steepest = EDGE * tolerance[0], EDGE * tolerance[1] + STEEPEST / K[0, 0]
@@ -253,10 +253,10 @@ def inside(  # type: ignore[no-untyped-def]
 def refined(
     measured: Float32[ndarray, "h w"], rendered: Float32[ndarray, "h w"], tolerance: tuple[float, float]
 ) -> tuple[Float32[ndarray, "h w"], Bool[ndarray, "h w"], float]:
-    """The best depth of each pixel, metres, 0 unknown; the pixels where measurement and surface contradict; and the
-    standard deviation of the measurements, as a share of the tolerance, 0 where there are too few.
+    """The best depth of each pixel, metres, 0 unknown; the pixels where measurement and surface contradict, or none is
+    measured near; and the standard deviation of measurements, as a share of the tolerance, 0 where there are too few.
 
-    The rendered depth, moved by the mean difference of the measurements around (3 x 3) where that is significant
+    The rendered depth, moved by the mean difference of the measurements around (5 x 5) where that is significant
     against the noise of the frame, and by as much of the pixel's own difference from that mean as its surroundings
     differ more than noise explains: little where the sensor is noisy, all where it is exact. Where the two contradict,
     and where nothing was rendered, the measured one.
@@ -285,7 +285,10 @@ def refined(
     own = np.where(several, np.maximum(1 - SIGNIFICANT * noise**2 / np.maximum(variance, TINY), 0), np.float32(0))
     best = best + own * (measured - best)
     contradicted = both & ~confirms
-    return np.where((rendered > 0) & ~contradicted, best, measured), contradicted, share
+    # What hands and grippers that give no depth hide is not known; a gap in the depth of a surface has it around.
+    supported = (count >= MIN_MEASUREMENTS) & (count > _sum_around(contradicted.astype(np.float32)))
+    unsupported = (measured <= 0) & (rendered > 0) & ~supported
+    return np.where((rendered > 0) & ~contradicted, best, measured), contradicted | unsupported, share
 
 
 def _sum_around(image: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:

@@ -328,6 +328,17 @@ def test_exact_measurements_win_over_a_rough_surface_and_noisy_ones_do_not():
     assert np.sqrt(np.mean((noisy - rendered) ** 2)) < 0.25 * 0.003
 
 
+def test_surface_without_a_measurement_near_is_not_matched(images, surface):
+    """A gripper's dark pads give no depth: what is in front there cannot be told. Single gaps are another matter."""
+    measured = images[3].depth.copy()
+    measured[::2] = 0.0
+    measured[:, : WIDTH // 2] = 0.0
+    one = correspondences.view(measured, images[3].instance, K, CAMERAS[3], surface)
+    whole = views_of(images, surface)[3].sure
+    assert one.sure[:, : WIDTH // 2 - 2].max() == 0
+    assert np.count_nonzero(one.sure[:, WIDTH // 2 :]) > 0.95 * np.count_nonzero(whole[:, WIDTH // 2 :])
+
+
 def test_a_distrusted_pixel_is_not_matched(images, surface):
     distrusted = np.zeros((HEIGHT, WIDTH), bool)
     distrusted[:, : WIDTH // 2] = True
