@@ -36,6 +36,9 @@ MAX_HEIGHT = 1.0
 """Metres above the support beyond which nothing is an object, unless it was said otherwise."""
 HIGHEST_FOOT = 0.03
 """Metres; above this, surface below what was asked for is not taken back, however steep."""
+FACES_UP = 0.5
+"""Cosine to the guessed up below which a support may be a wall: level cameras guess up at 0.45 from a wall's normal,
+and so do cameras that look straight down from a table's."""
 SMALLEST_SUPPORT = 0.15
 """Metres across; a plane smaller than this is more likely the face of an object."""
 BELOW_SHARE = 0.5
@@ -185,6 +188,11 @@ def support_of_scene(
         f"{planes[best].area:.3f} m2: if the objects stand on that one, give `plane` or `up`"
         for one in rivals
     ]
+    if up is None and guess_up is not None and planes[best].plane[:3] @ guess_up < FACES_UP:
+        warnings.append(
+            f"the support found, {rounded(planes[best])}, faces the cameras more than up: right if they look down, a "
+            "wall if they look level; then give `plane` or `up`"
+        )
     return planes[best], tuple([doubts[best]] if doubts[best] else []) + tuple(warnings)
 
 

@@ -136,3 +136,11 @@ def test_noise_of_a_bad_sensor_is_neither_an_object_nor_a_step():
     assert 0.015 < found.low <= 0.025
     assert found.foreground[source == 0].mean() < 0.005
     assert found.foreground[(source > 0) & (vertices[:, 2] > 0.03)].all()
+
+
+def test_a_support_that_faces_level_cameras_is_doubted_unless_up_is_told():
+    wall = sheet((0, 0, 0), (0.5, 0, 0), (0, 0, 0.5), 0.005)
+    guess_up = np.array([0.0, -0.447, 0.894])
+    [told] = background([wall], guess_up=guess_up)[0].warnings
+    assert told.startswith("the support found, [0.0, -1.0, 0.0, 0.0], faces the cameras more than up: right if they")
+    assert background([wall], guess_up=guess_up, up=np.array([0, -1.0, 0]))[0].warnings == ()
