@@ -22,9 +22,19 @@ N_CELLS = 48
 SMALLEST_CELL = 0.003
 """Metres."""
 
+N_TRIED = 2000
+"""Vertices looked at to learn how convex an object is."""
+
 INSET = 1.0
 """Cells inside the hull at which what was not measured is filled. The vertices farthest out, which make the hull, are
 where noise put them."""
+
+DEEP = 1 / 8
+"""Share of an object's length that a vertex may lie inside the hull before it speaks against a convex shape."""
+
+MOST_DEEP = 0.05
+"""Share of vertices that may. A crate full of things, or several objects that were not told apart, has more; their hull
+spans air that a sensor's shadow hides from every frame, and is left alone."""
 
 SEEN_THROUGH = 2
 """Frames that must have measured beyond a cell: one alone may be a reflection."""
@@ -119,22 +129,25 @@ class Completion:
 
 
 def _block(points: Float[ndarray, "n 3"], instance: int, reach: float) -> _Block | None:
-    """None where the points enclose nothing: too few, or all in a plane."""
+    """None where the points enclose nothing, being too few or all in a plane, or are far from a convex shape."""
     if len(points) < 4:
         return None
     try:
         hull = ConvexHull(points)
     except QhullError:
         return None
-    cell = max(SMALLEST_CELL, float(np.ptp(points, axis=0).max()) / N_CELLS)
+    # Neighbouring triangles of a face have the same plane; each plane once.
+    planes = np.unique(np.round(hull.equations, 6), axis=0)
+    length = float(np.ptp(points, axis=0).max())
+    some = points[:: max(1, len(points) // N_TRIED)]
+    if (_outside(some, planes) < -DEEP * length).mean() > MOST_DEEP:
+        return None
+    cell = max(SMALLEST_CELL, length / N_CELLS)
     lowest = points.min(axis=0) - reach - cell
     n_x, n_y, n_z = np.ceil((points.max(axis=0) + reach + cell - lowest) / cell).astype(int).tolist()
     index = np.stack(np.meshgrid(np.arange(n_x), np.arange(n_y), np.arange(n_z), indexing="ij"), axis=-1).reshape(-1, 3)
     centres = lowest + (index + 0.5) * cell
-    outside = np.full(len(centres), -np.inf)
-    # Neighbouring triangles of a face have the same plane; each plane once.
-    for plane in np.unique(np.round(hull.equations, 6), axis=0):
-        np.maximum(outside, centres @ plane[:3] + plane[3], out=outside)
+    outside = _outside(centres, planes)
     near = outside <= reach
     n_near = int(near.sum())
     return _Block(
@@ -148,6 +161,14 @@ def _block(points: Float[ndarray, "n 3"], instance: int, reach: float) -> _Block
         n_through=np.zeros(n_near, np.int32),
         n_on=np.zeros(n_near, np.int32),
     )
+
+
+def _outside(points: Float[ndarray, "n 3"], planes: Float[ndarray, "m 4"]) -> Float[ndarray, "n"]:
+    """Metres from a hull given by its planes; negative inside."""
+    outside = np.full(len(points), -np.inf)
+    for plane in planes:
+        np.maximum(outside, points @ plane[:3] + plane[3], out=outside)
+    return outside
 
 
 def _grid(block: _Block, chosen: Bool[ndarray, "n"]) -> Bool[ndarray, "nx ny nz"]:

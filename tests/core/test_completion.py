@@ -134,6 +134,16 @@ def test_what_no_frame_looked_through_is_solid() -> None:
     assert np.median(np.abs(z[both] - hull.depth.reshape(-1)[both])) < 0.006
 
 
+def test_the_air_between_objects_that_were_not_told_apart_is_left_alone() -> None:
+    boxes = [block(x, y, (0.06, 0.06, 0.1), 0.01) for x, y in ((-0.12, -0.12), (0.06, -0.12), (-0.03, -0.03), (0, 0.1))]
+    vertices, _, labels = with_table(boxes, [1, 1, 1, 1])
+    completion = carved(vertices, labels, [], CAMERAS[:0])
+    assert completion.holds(np.array([[0.0, -0.09, 0.05]], np.float32)).tolist() == [0]
+    vertices, _, labels = with_table(boxes, [1, 2, 3, 4])
+    completion = carved(vertices, labels, [], CAMERAS[:0])
+    assert completion.holds(np.array([[0.0, -0.09, 0.05], [0.0, 0.0, 0.05]], np.float32)).tolist() == [0, 3]
+
+
 def test_points_belong_to_the_hull_that_holds_them() -> None:
     vertices, _, labels = box_with_a_hole()
     completion = carved(vertices, labels, [], CAMERAS[:0])
