@@ -154,7 +154,8 @@ class Artifact:
         return sorted(
             name
             for name in names
-            if read_json(self.path / name / "zarr.json").get("node_type") == "group" and name not in ("robot", "objects")
+            if read_json(self.path / name / "zarr.json").get("node_type") == "group"
+            and name not in ("robot", "objects")
         )
 
 

@@ -11,6 +11,14 @@ DEPTH_SLACK = (0.01, 0.01)
 """Two neighbours on one surface differ by less than a + b z: 1 cm of noise and slope up close, and the noise that
 grows with the distance."""
 
+NOISE_SIGMAS = 4.0
+"""Neighbours on one surface also differ by less than this many standard deviations of the sensor's noise: in the window
+of a pixel the nearest and the farthest neighbour are about two away from it, each with noise of its own."""
+
+
+SIGMA_FROM_MAD = 1.4826
+"""Standard deviation of a normal distribution per median absolute deviation."""
+
 
 def in_range(depth: Float32[ndarray, "h w"], near: float, far: float) -> Float32[ndarray, "h w"]:
     """The depth with everything outside [near, far] taken for not measured.
@@ -40,7 +48,7 @@ def flying(
     Args:
         radius: pixels; 2 reaches across the gaps of depth that was registered to colour and so covers every other
             pixel.
-        slack: (a, b) of the a + b z metres by which neighbours on one surface may differ.
+        slack: (a, b) of the a + b z metres by which neighbours on one surface may differ; more on a noisy sensor.
     """
     if radius < 1:
         raise ValueError(f"radius: expected at least 1 pixel, got {radius}")
@@ -52,9 +60,28 @@ def flying(
         np.where(measured, depth, far_away), around, borderType=cv2.BORDER_CONSTANT, borderValue=float("inf")
     )
     farthest = cv2.dilate(depth, around, borderType=cv2.BORDER_CONSTANT, borderValue=0.0)
-    tolerance = np.float32(slack[0]) + np.float32(slack[1]) * depth
+    tolerance = np.maximum(
+        np.float32(slack[0]) + np.float32(slack[1]) * depth, np.float32(NOISE_SIGMAS * noise_share(depth)) * depth
+    )
     # A pixel with no measured neighbour has nearest = infinity and farthest = 0, and agrees with neither.
     return measured & (np.abs(depth - nearest) > tolerance) & (np.abs(depth - farthest) > tolerance)
+
+
+def noise_share(depth: Float32[ndarray, "h w"], n_least: int = 1000) -> float:
+    """Standard deviation of a depth image's noise as a share of the depth, from the differences of pixels side by side;
+    0 with fewer than `n_least` of these.
+
+    Half of all differences are on one surface wherever there are surfaces, so their median knows nothing of edges.
+    """
+    rows = depth[::4]
+    for step in (1, 2):  # Depth that was registered to colour may miss every other column.
+        left, right = rows[:, :-step], rows[:, step:]
+        both = (left > 0) & (right > 0)
+        if np.count_nonzero(both) >= n_least:
+            change = np.abs(left[both] - right[both]) / left[both]
+            # The difference of two has the square root of two times the noise of one.
+            return float(SIGMA_FROM_MAD * np.median(change) / np.sqrt(2))
+    return 0.0
 
 
 def filled(depth: Float32[ndarray, "h w"], slack: tuple[float, float] = DEPTH_SLACK) -> Float32[ndarray, "h w"]:

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 
 N_SURFACE_POINTS = 512
 """Points on the objects by which the overlap of two frames is judged."""
+LEAST_TOLERANCE = (0.005, 0.01)
+"""(a, b): depths agree within a + b z metres on a quiet sensor: voxels and poses are not better than that."""
+NOISE_SIGMAS = 2.5
+"""Standard deviations of the sensor's noise within which depths agree."""
 FAR = 10.0
 """Depth above this counts as not measured, metres."""
 BYTES_KEPT = 128 * 2**20
@@ -48,11 +52,17 @@ class CorrespondencesParams(Params):
     min_overlap: float = Field(
         0.15, ge=0, le=1, description="Share of the objects' surface seen by either frame that both must see."
     )
-    tolerance: float = Field(
-        0.005, ge=0, description="Depths agree within this, metres, plus the part that grows with depth."
+    tolerance: float | None = Field(
+        None,
+        ge=0,
+        description="Depths agree within this, metres, plus the part that grows with depth. "
+        "Default: 0.005, more on a noisy sensor.",
     )
-    tolerance_per_metre: float = Field(
-        0.01, ge=0, description="Part of that tolerance that grows with depth, metres per metre."
+    tolerance_per_metre: float | None = Field(
+        None,
+        ge=0,
+        description="Part of that tolerance that grows with depth, metres per metre. "
+        "Default: 0.01, more on a noisy sensor.",
     )
     max_cycle: float = Field(0.7, ge=0, description="A match leads back to within so many pixels.")
     margin: int = Field(2, ge=0, description="Pixels to stay away from the edge of a mask.")
@@ -88,8 +98,8 @@ def correspondences(
     has_surface = len(reconstruction.triangles) > 0
     surface = Surface(reconstruction.vertices, reconstruction.triangles) if has_surface else None
     chosen = _choose(scan, reconstruction, objects, masks, surface, params, rng)
-    depth_from = surface if params.use_surface else None
-    ready = lru_cache(n_kept(scan))(lambda i_camera, i: _view(*cameras[i_camera], i, depth_from, params))
+    depth_from, tolerance = surface if params.use_surface else None, _tolerance(masks, params)
+    ready = lru_cache(n_kept(scan))(lambda i_camera, i: _view(*cameras[i_camera], i, depth_from, tolerance, params))
     tally = Tally()
     with Correspondences.writer(out) as writer:
         rows = zip(chosen.frames.tolist(), chosen.distance.tolist(), chosen.angle.tolist(), strict=True)
@@ -100,7 +110,7 @@ def correspondences(
                 rng,
                 params.n_attempts,
                 params.n_matches,
-                (params.tolerance, params.tolerance_per_metre),
+                tolerance,
                 params.max_cycle,
             )
             (camera_a, frame_a), (camera_b, frame_b) = frames[a], frames[b]
@@ -234,8 +244,26 @@ def _choose(
     )
 
 
+def _tolerance(masks: VisibleMasks, params: CorrespondencesParams) -> tuple[float, float]:
+    """(a, b): depths agree within a + b z metres. What is not given follows the noisiest of the cameras."""
+    noise = masks.metadata.noise.values()
+    found = [
+        max(least, *(NOISE_SIGMAS * one[k] for one in noise)) if noise else least
+        for k, least in enumerate(LEAST_TOLERANCE)
+    ]
+    return (
+        found[0] if params.tolerance is None else params.tolerance,
+        found[1] if params.tolerance_per_metre is None else params.tolerance_per_metre,
+    )
+
+
 def _view(
-    camera: Camera, masks: CameraMasks, i_frame: int, surface: Surface | None, params: CorrespondencesParams
+    camera: Camera,
+    masks: CameraMasks,
+    i_frame: int,
+    surface: Surface | None,
+    tolerance: tuple[float, float],
+    params: CorrespondencesParams,
 ) -> View:
     from bask_data.core import depth
     from bask_data.core.correspondences import view
@@ -251,7 +279,7 @@ def _view(
         camera.K,
         camera.world_from_cameras[i_frame],
         surface,
-        (params.tolerance, params.tolerance_per_metre),
+        tolerance,
         params.margin,
         flying,
     )

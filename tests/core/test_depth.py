@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bask_data.core.depth import cleaned, filled, flying, in_range
+from bask_data.core.depth import cleaned, filled, flying, in_range, noise_share
 
 
 def two_walls(near: float = 0.5, far: float = 0.8) -> np.ndarray:
@@ -52,6 +52,29 @@ def test_steep_surfaces_and_sparse_depth_stay() -> None:
     assert not flying(slope_of_80_degrees).any()
     every_other_pixel = np.where((u % 2 == 0) & (v % 2 == 0), slope_of_80_degrees, np.float32(0))
     assert not flying(every_other_pixel).any()
+
+
+@pytest.mark.parametrize("share", [0.005, 0.02])
+@pytest.mark.parametrize("step", [1, 2])
+def test_noise_is_measured_beside_edges_and_in_every_other_column(share: float, step: int) -> None:
+    rng = np.random.default_rng(0)
+    depth = np.where(np.arange(200) % 40 < 20, 0.5, 0.9) * rng.normal(1.0, share, (200, 200))
+    sparse = np.zeros_like(depth)
+    sparse[:, ::step] = depth[:, ::step]
+    assert noise_share(sparse.astype(np.float32)) == pytest.approx(share, rel=0.1)
+
+
+def test_noise_of_too_few_pixels_is_not_told() -> None:
+    assert noise_share(np.full((20, 20), 0.5, np.float32)) == 0.0
+
+
+def test_a_noisy_surface_is_no_cloud_of_flying_pixels() -> None:
+    rng = np.random.default_rng(0)
+    depth = (0.6 * rng.normal(1.0, 0.02, (200, 200))).astype(np.float32)
+    depth[50, ::10] = 1.2
+    found = flying(depth)
+    assert found[50, ::10].all()
+    assert found.mean() < 0.01
 
 
 def test_gaps_of_a_pixel_inside_a_surface_are_closed_with_the_depth_around_them() -> None:

@@ -19,7 +19,7 @@ from bask_data.kinds import Correspondences, InstanceRow, ObjectInstances, Visib
 from bask_data.kinds import correspondences as kind
 from bask_data.kinds.correspondences import Rejection
 from bask_data.stage import make, plan
-from bask_data.stages.correspondences import Tally, correspondences, n_kept
+from bask_data.stages.correspondences import CorrespondencesParams, Tally, _tolerance, correspondences, n_kept
 from tests import meshes, scenes
 from tests.datasets import publish_artifact, publish_mesh, publish_recording
 
@@ -271,3 +271,11 @@ if __name__ == "__main__":  # Run as a module when the version was raised: pytho
         fresh = made(dataset_of(Path(folder) / "d", scenes.orbit(10, radius=0.5)), n_pairs=6, n_matches=30).matches()
         arrays = {name: fresh[name].to_numpy() for name in fresh.column_names}
         np.savez_compressed(GOLDEN / f"correspondences_v{correspondences.version}.npz", **arrays)
+
+
+def test_depths_agree_within_what_the_noisiest_camera_needs() -> None:
+    masks = SimpleNamespace(metadata=SimpleNamespace(noise={"wrist": (0.001, 0.02), "overhead": (0.004, 0.001)}))
+    assert _tolerance(masks, CorrespondencesParams()) == pytest.approx((0.01, 0.05))
+    assert _tolerance(masks, CorrespondencesParams(tolerance=0.002)) == pytest.approx((0.002, 0.05))
+    quiet = SimpleNamespace(metadata=SimpleNamespace(noise={}))
+    assert _tolerance(quiet, CorrespondencesParams()) == (0.005, 0.01)
