@@ -132,7 +132,7 @@ def on_gripper(root: Path) -> int:
     from bask_data.kinds import VisibleMasks
 
     n_pixels = 0
-    for path in sorted((root / "masks").iterdir()):
+    for path in sorted(root.glob("masks/*_shelf")):
         camera = VisibleMasks(path).camera("wrist")
         for i_frame in range(camera.n_frames):
             instance = camera.instance(i_frame)
