@@ -45,7 +45,7 @@ class Condition:
     asked: dict[str, float] = field(default_factory=dict)
 
 
-GRIPPER = ((0, 0, 115, 145), (520, 0, 640, 145), (0, 170, 29, 225), (614, 170, 640, 225))
+GRIPPER = ((0, 0, 115, 145), (520, 0, 640, 145), (0, 188, 29, 225), (614, 188, 640, 225))
 """Of both shelf recordings: left, top, right, bottom of boxes within the gripper's pads and cups, which stand still in
 the image; drawn by hand."""
 ON_SHELVES = ("bunny book", "tissue box")
