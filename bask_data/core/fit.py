@@ -152,6 +152,10 @@ def sketch_rays(
     return rays
 
 
+RISE = 1.25
+"""A residual has risen when it is so many times that of the frames before and after."""
+
+
 def outliers(
     n_judged: Int[ndarray, "t"], explained: Float[ndarray, "t"], residual_abs: Float[ndarray, "t"]
 ) -> Bool[ndarray, "t"]:
@@ -160,7 +164,8 @@ def outliers(
 
     A frame is held against all others, and, in the share explained, against the two before and after it: what a
     camera looks at makes a larger difference than a pose that is a little off, but it changes slowly. Limits are in
-    robust deviations, as recordings differ, with floors below which nothing is worth a word. On eight recordings of
+    robust deviations, as recordings differ, with floors below which nothing is worth a word; a small dip in the share
+    is a view along the surface unless the residual rises with it. On eight recordings of
     10 to 200 frames the worst good frame was 5 deviations from those around it; 40 of 40 frames with poses 10 cm off
     were found.
     """
@@ -169,7 +174,9 @@ def outliers(
     if judged.sum() < LEAST_FRAMES:
         return odd
     share, error = explained[judged], residual_abs[judged]
-    odd[judged] = _far(-share, 7.0, 0.27) | _far(error, 8.0, 0.006) | _far(_around(share) - share, 6.0, 0.07)
+    dip, rises = _around(share) - share, error > RISE * _around(error)
+    alone = _far(-share, 7.0, 0.27) | _far(error, 8.0, 0.006)
+    odd[judged] = alone | _far(dip, 6.0, 0.2) | (_far(dip, 6.0, 0.07) & rises)
     return odd
 
 
