@@ -106,6 +106,11 @@ def test_a_frame_is_held_against_those_around_it_when_all_of_them_change() -> No
     share = np.linspace(0.95, 0.6, 60) + 0.005 * np.sin(np.arange(60))
     assert judged(share) == [], "a slow change is the scene's"
     share[30] -= 0.15
+    assert judged(share) == [], "a view along the surface"
+    error = np.full(60, 0.002)
+    error[30] = 0.003
+    assert np.flatnonzero(outliers(np.full(60, 1000), share, error)).tolist() == [30]
+    share[30] -= 0.1
     assert judged(share) == [30]
 
 
