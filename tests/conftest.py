@@ -23,7 +23,7 @@ CHECKED = ("bask_data.core", "bask_data.formats", "bask_data.nn", "bask_data.sim
 def _is_compiled(decorator: ast.expr) -> bool:
     name = decorator.func if isinstance(decorator, ast.Call) else decorator
     last = name.attr if isinstance(name, ast.Attribute) else name.id if isinstance(name, ast.Name) else ""
-    return last in {"njit", "jit", "vectorize", "guvectorize", "stencil"}
+    return last in {"compiled", "njit", "jit", "vectorize", "guvectorize", "stencil"}
 
 
 # The hook wraps a function below its other decorators, so numba would be handed the wrapper, which it cannot compile.

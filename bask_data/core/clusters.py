@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import njit
 from numpy import ndarray
+
+from bask_data.core.compiled import compiled
 
 REACH = 2
 """Cells in each direction that can hold a neighbour: three cells away is 2 eps / sqrt(3) > eps."""
@@ -79,7 +80,7 @@ def dbscan(
     return labels
 
 
-@njit(cache=True)
+@compiled
 def _keys(
     points: Float[ndarray, "n 3"], lowest: Float[ndarray, "3"], edge: float, stride_x: int, stride_y: int
 ) -> Int[ndarray, "n"]:
@@ -93,7 +94,7 @@ def _keys(
     return key
 
 
-@njit(cache=True)
+@compiled
 def _clusters(
     points: Float[ndarray, "n 3"],
     weights: Float[ndarray, "n"],
@@ -136,7 +137,7 @@ def _clusters(
     return _labels(points, cells, start, columns, eps2, is_core, core, n_core, cluster)
 
 
-@njit(cache=True)
+@compiled
 def _cores(
     points: Float[ndarray, "n 3"],
     weights: Float[ndarray, "n"],
@@ -175,7 +176,7 @@ def _cores(
     return is_core
 
 
-@njit(cache=True)
+@compiled
 def _join(
     points: Float[ndarray, "n 3"],
     cells: Int[ndarray, "c"],
@@ -207,7 +208,7 @@ def _join(
                 d += 1
 
 
-@njit(cache=True)
+@compiled
 def _meet(
     points: Float[ndarray, "n 3"],
     start: Int[ndarray, "c+1"],
@@ -225,7 +226,7 @@ def _meet(
     return False
 
 
-@njit(cache=True)
+@compiled
 def _labels(
     points: Float[ndarray, "n 3"],
     cells: Int[ndarray, "c"],
@@ -261,7 +262,7 @@ def _labels(
     return labels
 
 
-@njit(cache=True)
+@compiled
 def _advance(begin: Int[ndarray, "k"], cells: Int[ndarray, "c"], columns: Int[ndarray, "k"], cell: int) -> None:
     """Move each column's `begin` to the first cell in reach of `cell`; as cells rise, so do all of them."""
     for k in range(len(columns)):
@@ -269,13 +270,13 @@ def _advance(begin: Int[ndarray, "k"], cells: Int[ndarray, "c"], columns: Int[nd
             begin[k] += 1
 
 
-@njit(cache=True)
+@compiled
 def _distance2(points: Float[ndarray, "n 3"], i: int, j: int) -> float:
     x, y, z = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
     return x * x + y * y + z * z
 
 
-@njit(cache=True)
+@compiled
 def _root(root: Int[ndarray, "c"], c: int) -> int:
     while root[c] != c:
         root[c] = root[root[c]]

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Float32, Int, Int32, UInt8
 from numba import njit
 from numpy import ndarray
 
+from bask_data.core.compiled import compiled
 from bask_data.core.geometry import invert_rigid, unproject
 
 REJECTIONS = (
@@ -183,7 +184,7 @@ def _is_jump(one, other, steepest):  # type: ignore[no-untyped-def]
     return one > 0 and other > 0 and abs(one - other) > steepest[0] + steepest[1] * min(one, other)
 
 
-@njit(cache=True)
+@compiled
 def inside(  # type: ignore[no-untyped-def]
     instance, sure, depth, margin, steepest
 ):
@@ -358,7 +359,7 @@ def match(
     return Matches(label[order], found[:, :2].copy(), found[:, 2:].copy(), shared.astype(np.uint8), rejections)
 
 
-@njit(cache=True)
+@compiled
 def _search(  # type: ignore[no-untyped-def]
     a, b, instance_b, sure_b, b_from_a, a_from_b, pixels, first, shared, quota, draws, n_matches, tolerance, max_cycle
 ):
