@@ -431,8 +431,8 @@ def _follow(  # type: ignore[no-untyped-def]
     u_back, v_back, z_back = _carried(u_b, v_b, z_b, K_b, a_from_b, K_a)
     if not (z_back > 0 and (u_back - u) ** 2 + (v_back - v) ** 2 <= max_cycle**2):
         return _CYCLE, u_b, v_b
-    # Were the depth in a a standard deviation off, the point would be elsewhere, and what is there must not hide it.
-    off = noise_a * (tolerance[0] + tolerance[1] * z_a)
+    # Were the depth in a two standard deviations off, the point would be elsewhere, and what is there must not hide it.
+    off = 2 * noise_a * (tolerance[0] + tolerance[1] * z_a)
     u_off, v_off, _ = _carried(float(u), float(v), z_a + off, K_a, b_from_a, K_b)
     reach = margin_b + min(int(np.sqrt((u_off - u_b) ** 2 + (v_off - v_b) ** 2) + 0.5), MOST_REACH)
     if _is_crowded(depth_b, column, row, z, K_b[0, 0], reach, tolerance):

@@ -27,7 +27,7 @@ anything from 5 mm to 4 cm; sparse sensors and their poses need two to three cen
 N_SIGMA = 4.0
 """Standard deviations of the sensor's noise that measurement and mesh may be apart."""
 
-MESH_ERROR = 2.5
+MESH_ERROR = 3.5
 """Voxels by which thin walls and sharp edges of a fused mesh are off."""
 
 MOST_TOLERANCE = (0.04, 0.06)
