@@ -147,6 +147,18 @@ class Artifact:
         """Lines that a person reads when the artifact was made; most kinds have none."""
         return []
 
+    def check_complete(self) -> None:
+        """Refuse an artifact that has lost a file: a chunk that is missing would read as zeros.
+
+        Raises:
+            BadData: a file that the manifest names is not there.
+        """
+        for name in self.manifest.files:
+            if not (self.path / name).exists():
+                raise BadData(
+                    self.path, name, expected="the file", got="none", fix="restore it, or make the artifact again."
+                )
+
     @property
     def camera_names(self) -> list[str]:
         """Names of the cameras, sorted; none for kinds without cameras."""

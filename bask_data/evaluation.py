@@ -5,6 +5,7 @@ Only evaluation reads truth; no stage that makes data does.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -84,7 +85,12 @@ def masks_of(dataset: Dataset, scene: str) -> MaskScore:
         for i_frame in progress(range(camera.n_frames), f"measuring masks of {scene}"):
             labels, instance = truth.instance(name, i_frame), camera.instance(i_frame)
             if labels.shape != instance.shape:
-                raise BadData(truth.path / name, "instance", expected=f"{instance.shape}", got=labels.shape)
+                raise BadData(
+                    masks.path / name,
+                    "instance",
+                    expected=f"images of the size of the true labels, {labels.shape}",
+                    got=instance.shape,
+                )
             table += scores.overlap(groups[labels], instance)
             n_on_robot += int(np.count_nonzero(instance[labels == ROBOT]))
             n_masked += int(np.count_nonzero(instance))
@@ -221,6 +227,7 @@ def _scenes(dataset: Dataset, kind: type[Artifact], only: Sequence[str]) -> list
             ", ".join(name for name in only if name not in scenes),
             expected=f"a scene with truth and {kind.kind}",
             got="none",
-            fix=f"bask-data run {dataset.root}; truth comes with `ingest sim` and with labelled recordings.",
+            fix=f"bask-data run {shlex.quote(str(dataset.root))}; truth comes with `ingest sim` and with labelled "
+            "recordings.",
         )
     return scenes

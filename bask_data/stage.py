@@ -433,6 +433,8 @@ def _make(task: Task, begun: float, force: bool) -> Manifest:
     arguments: dict[str, Any] = {}
     for given in task.stage.inputs:
         handles = [given.artifact(task.input_path(binding)) for binding in task.inputs[given.name]]
+        for handle in handles:
+            handle.check_complete()
         arguments[given.name] = handles if given.gather else handles[0]
     hints = typing.get_type_hints(task.stage.function)
     for name, hint in hints.items():

@@ -255,3 +255,57 @@ def test_a_recording_without_any_depth_to_fuse_is_refused_with_a_remedy(tmp_path
     assert ended.exit_code == 4, ended.stderr
     assert "fix: " in ended.stderr
     assert "depth" in ended.stderr
+
+
+def test_a_frame_with_a_speck_of_depth_is_fused_around(tmp_path: Path) -> None:
+    recording = recorded()
+    speck = np.zeros_like(recording.depth[5])
+    speck[61:64, 61:64] = recording.depth[5][61:64, 61:64]  # Open3D looks at every fourth pixel and sees nothing.
+    recording.depth[5] = speck
+    assert ingested(recording, tmp_path).exit_code == 0
+    ended = cli("reconstruct", tmp_path / "d", *RECONSTRUCT)
+    assert ended.exit_code == 0, ended.stderr
+
+
+def test_more_voxels_than_open3d_can_count_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bask_data.core.tsdf.MOST_BLOCKS", 500)
+    assert ingested(recorded(), tmp_path).exit_code == 0
+    ended = cli("reconstruct", tmp_path / "d", *RECONSTRUCT)
+    assert ended.exit_code == 2
+    assert "voxel_size: expected at most 500 voxel blocks, which is what Open3D can count, got about" in ended.stderr
+    voxel_size = ended.stderr.split("fix: --voxel-size ")[1].split(",")[0]
+    assert cli("reconstruct", tmp_path / "d", "--voxel-size", voxel_size).exit_code == 0
+
+
+def test_leaving_out_every_frame_is_refused(tmp_path: Path) -> None:
+    assert ingested(recorded(), tmp_path).exit_code == 0
+    ended = cli("reconstruct", tmp_path / "d", "--exclude", f"camera:0-{N_FRAMES - 1}")
+    assert ended.exit_code == 2
+    assert "exclude: expected some frames left" in ended.stderr
+
+
+def test_a_chunk_that_is_lost_is_no_frame_without_depth(tmp_path: Path) -> None:
+    assert ingested(recorded(), tmp_path).exit_code == 0
+    [chunk] = (tmp_path / "d" / "scan" / "a").glob("*/depth/c/0/0/0")
+    chunk.unlink()
+    ended = cli("reconstruct", tmp_path / "d", *RECONSTRUCT)
+    assert ended.exit_code == 4
+    assert "depth/c/0/0/0: expected the file, got none." in ended.stderr
+    assert not (tmp_path / "d" / "reconstruction" / "a").exists()
+
+
+def test_memory_is_given_in_words_one_knows(tmp_path: Path) -> None:
+    assert ingested(recorded(), tmp_path).exit_code == 0
+    ended = cli("reconstruct", tmp_path / "d", "--max-memory", "plenty")
+    assert ended.exit_code == 2
+    assert "max_memory: expected an amount of memory such as 4GB or 800MB" in ended.stderr
+    assert cli("reconstruct", tmp_path / "d", *RECONSTRUCT, "--max-memory", "4gb").exit_code == 0
+
+
+def test_a_report_is_not_written_over_a_folder(tmp_path: Path) -> None:
+    assert ingested(recorded(), tmp_path).exit_code == 0
+    before = sorted(tmp_path.iterdir())
+    ended = cli("report", tmp_path / "d", "--out", tmp_path)
+    assert ended.exit_code == 2
+    assert "--out: expected a file to write, got a folder" in ended.stderr
+    assert sorted(tmp_path.iterdir()) == before

@@ -316,6 +316,11 @@ def room_for(n_blocks: int) -> int:
     return int(np.ceil(n_blocks * ROOM)) + LEAST_ROOM
 
 
+MOST_BLOCKS = 1_000_000
+"""Beyond some 1.05 million blocks (2^31 corners of voxels) Open3D's extraction counts past its 32 bits and takes the
+process down."""
+
+
 def peak_bytes(n_blocks: int) -> int:
     """Memory that a volume of so many blocks takes at most, mesh extraction included."""
     return int(n_blocks * (ROOM * BLOCK_BYTES + EXTRACTION_BYTES))
@@ -352,10 +357,16 @@ class _View:
         )
 
     def blocks(self, grid: o3d.t.geometry.VoxelBlockGrid, truncation_voxels: float) -> o3d.core.Tensor:
-        """Coordinates of the blocks near the measured surface, in a grid of any content."""
-        return grid.compute_unique_block_coordinates(
-            self.depth, self.K, self.camera_from_grid, 1.0, FARTHEST, truncation_voxels
-        )
+        """Coordinates (n, 3) of the blocks near the measured surface, in a grid of any content."""
+        try:
+            return grid.compute_unique_block_coordinates(
+                self.depth, self.K, self.camera_from_grid, 1.0, FARTHEST, truncation_voxels
+            )
+        except RuntimeError as error:
+            # Open3D looks at every fourth pixel, and takes finding no measurement there for a fault.
+            if "No block is touched" not in str(error):
+                raise
+            return o3d.core.Tensor.empty((0, 3), o3d.core.int32)
 
 
 def _grid(voxel_size: float, n_blocks: int) -> o3d.t.geometry.VoxelBlockGrid:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bask_data.dataset import Dataset
+from bask_data.errors import UsageError
 
 if TYPE_CHECKING:
     from bask_data.report.figures import Measured
@@ -25,15 +26,23 @@ def write_report(dataset: Dataset, out: Path, measured: Measured | None = None) 
 
     Returns:
         The file, `out`.
+
+    Raises:
+        UsageError: `out` is a folder.
     """
     # Imported here: the page needs OpenCV, Open3D and Matplotlib, and the command line must start without them.
     from bask_data.report.page import render
 
+    if out.is_dir():
+        raise UsageError(out, "--out", expected="a file to write", got="a folder", fix=f"--out {out / 'report.html'}")
     html = render(dataset, measured or measure(dataset))
     out.parent.mkdir(parents=True, exist_ok=True)
     unfinished = out.with_name(f".{out.name}.unfinished")
-    unfinished.write_text(html, encoding="utf-8")
-    unfinished.replace(out)
+    try:
+        unfinished.write_text(html, encoding="utf-8")
+        unfinished.replace(out)
+    finally:
+        unfinished.unlink(missing_ok=True)
     return out
 
 

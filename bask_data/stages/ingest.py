@@ -51,7 +51,8 @@ def ingest(
     refuse_other_scope(root, makes, item, "choose another --scene.")
     read = format.read(source, options)
     key = _key(makes, format, options, source, read)
-    if not force and is_current(root, makes, item, key, "choose another --scene, or pass --force."):
+    has_truth = any(camera.labels for camera in read.cameras)
+    if not force and is_current(root, makes, item, key, "choose another --scene, or pass --force.", has_truth):
         # A kill between publishing and listing leaves a recording that no command would look at.
         dataset = Dataset.open_or_create(root)
         if item not in dataset.items(makes.scope):

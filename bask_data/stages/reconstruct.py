@@ -44,6 +44,13 @@ POOR = 0.6
 FrameOfCamera = tuple[Camera, int]
 
 
+def _amount_of_memory(given: object) -> str:
+    text = str(given).strip().upper()
+    if not re.fullmatch(r"(\d+(\.\d+)?\s*([MG]B)?)?", text):
+        raise ValueError("an amount of memory such as 4GB or 800MB")
+    return text
+
+
 class ReconstructParams(Params):
     """What changes the mesh."""
 
@@ -73,10 +80,9 @@ class ReconstructParams(Params):
         True, description="Fuse again without the frames that disagree with all others, should there be a few."
     )
     # It decides whether there is a result, never which: so it is no part of what the result depends on.
-    max_memory: Annotated[str, BeforeValidator(str)] = Field(
+    max_memory: Annotated[str, BeforeValidator(_amount_of_memory)] = Field(
         "",
         exclude=True,
-        pattern=r"^(\d+(\.\d+)?\s*([MG]B)?)?$",
         description="Refuse to take more memory than this: 4GB, 800MB. Default: 80 % of what is free.",
     )
 
@@ -177,6 +183,8 @@ def _frames(scan: Scan, params: ReconstructParams, excluded: set[tuple[str, int]
             camera.world_from_cameras[kept], params.min_distance, float(np.deg2rad(params.min_angle_deg))
         )
         frames += [(camera, int(i_frame)) for i_frame in kept[distinct]]
+    if excluded and not frames:
+        raise UsageError("reconstruct", "exclude", expected="some frames left", got=",".join(params.exclude))
     return frames
 
 
@@ -238,7 +246,7 @@ def _most_blocks(survey: _Survey, params: ReconstructParams) -> int:
     from bask_data.core import tsdf
 
     begun, limit = _resident_bytes(), _memory_limit(params.max_memory)
-    n_blocks = max(0, int((limit - begun - WORKING_BYTES) / tsdf.peak_bytes(1)))
+    n_blocks = min(max(0, int((limit - begun - WORKING_BYTES) / tsdf.peak_bytes(1))), tsdf.MOST_BLOCKS)
     if n_blocks < survey.n_blocks:
         raise _too_large(survey.n_blocks, begun, limit, survey, params)
     return n_blocks
@@ -249,10 +257,20 @@ def _too_large(n_blocks: int, begun: int, limit: int, survey: _Survey, params: R
     from bask_data.core import tsdf
 
     needed = begun + WORKING_BYTES + tsdf.peak_bytes(n_blocks)
-    remedies = [f"--max-memory {_amount(math.ceil(needed * 1.1))}"]
-    if voxel_size := _voxel_size_that_fits(n_blocks, limit - begun - WORKING_BYTES, survey, params):
+    remedies = []
+    room = min(limit - begun - WORKING_BYTES, tsdf.peak_bytes(tsdf.MOST_BLOCKS))
+    if voxel_size := _voxel_size_that_fits(n_blocks, room, survey, params):
         size = " x ".join(f"{edge:.2f}" for edge in survey.bounds[1] - survey.bounds[0])
-        remedies = [f"--voxel-size {voxel_size:g}", f"a --workspace smaller than {size} m", *remedies]
+        remedies += [f"--voxel-size {voxel_size:g}", f"a --workspace smaller than {size} m"]
+    if n_blocks > tsdf.MOST_BLOCKS:
+        return UsageError(
+            "reconstruct",
+            "voxel_size",
+            expected=f"at most {tsdf.MOST_BLOCKS} voxel blocks, which is what Open3D can count",
+            got=f"about {n_blocks} at voxels of {params.voxel_size * 1000:g} mm",
+            fix=", or ".join(remedies or ["larger voxels"]) + ".",
+        )
+    remedies.append(f"--max-memory {_amount(math.ceil(needed * 1.1))}")
     return UsageError(
         "reconstruct",
         "max_memory",

@@ -12,7 +12,7 @@ from typing import Any
 from bask_data.artifact import Artifact, new_scratch, publish, read_manifest, seal
 from bask_data.dataset import DATASET, Dataset
 from bask_data.errors import UsageError, WouldOverwrite
-from bask_data.kinds import Recording, Scan
+from bask_data.kinds import Recording, Scan, Truth
 from bask_data.stage import Outcome, record
 
 
@@ -23,8 +23,8 @@ def refuse_other_scope(root: Path, makes: type[Recording], item: str, fix: str =
         raise UsageError(root / DATASET, item, expected="a new name", got=f"the name of a {other}", fix=fix)
 
 
-def is_current(root: Path, makes: type[Recording], item: str, key: str, fix: str) -> bool:
-    """Whether the recording is there already, just as asked for.
+def is_current(root: Path, makes: type[Recording], item: str, key: str, fix: str, has_truth: bool) -> bool:
+    """Whether the recording is there already, just as asked for, and its truth where it has one.
 
     Raises:
         WouldOverwrite: it is there with other content.
@@ -40,7 +40,7 @@ def is_current(root: Path, makes: type[Recording], item: str, key: str, fix: str
             got="one from another source or with other options",
             fix=fix,
         )
-    return True
+    return not has_truth or (root / Truth.kind / item).exists()
 
 
 def up_to_date(root: Path, makes: type[Recording], item: str) -> Outcome:

@@ -102,7 +102,7 @@ def simulate(
     fix = "choose another dataset, or pass --force."
     for job in jobs:
         refuse_other_scope(root, job.makes, job.item)
-    current = {job.item for job in jobs if not force and is_current(root, job.makes, job.item, job.key, fix)}
+    current = {job.item for job in jobs if not force and is_current(root, job.makes, job.item, job.key, fix, True)}
     outcomes, n_failed = [], 0
     with undone_if_new(root), _Studio(options) as studio:
         dataset = Dataset.open_or_create(root)
@@ -128,7 +128,7 @@ def _jobs(options: SimOptions, n_scans: int, n_demonstrations: int, only: Sequen
             raise UsageError("ingest sim", expected="--scans or --demonstrations", got="neither")
         return jobs
     jobs = []
-    for name in only:
+    for name in dict.fromkeys(only):
         found = re.fullmatch(rf"{options.task}_(scan|demo)(\d{{1,6}})", name)
         if not found:
             raise UsageError(

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bask_data.dataset import Dataset
 from bask_data.errors import BaskError, MissingDependency, UsageError, WouldOverwrite
 
+if TYPE_CHECKING:
+    import rerun as rr
+
 __all__ = ["Choice", "Shown", "save_recording"]
 
 APPLICATION = "bask-data"
+
+SECONDS_TO_ABANDON = 10
+"""What a recording that failed gets to close its file."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +116,7 @@ def _write(dataset: Dataset, file: Path, choice: Choice) -> dict[str, Shown]:
         raise UsageError("RERUN", "environment", expected="on, or not set", got="off", fix="unset RERUN")
     recording.disable_timeline("log_time")
     recording.save(file)
+    seconds = SECONDS_TO_ABANDON
     try:
         drawn = {name: draw_item(recording, dataset, name, choice) for name in choice.items}
         shown = [one for one in drawn.values() if one.shown.layers]
@@ -117,10 +126,26 @@ def _write(dataset: Dataset, file: Path, choice: Choice) -> dict[str, Shown]:
             raise UsageError(dataset.root, "", expected="something to show", got=f"nothing of {asked}", fix=fix)
         recording.send_blueprint(layout(shown))
         recording.flush(timeout_sec=FLUSH_SECONDS)
+        seconds = FLUSH_SECONDS
     finally:
-        recording.disconnect()
+        is_closed = _closed(recording, seconds)
+    if not is_closed:
+        raise OSError("Rerun's writer does not come to an end")
     _check_whole(file)
     return {name: one.shown for name, one in drawn.items()}
+
+
+def _closed(recording: rr.RecordingStream, seconds: float) -> bool:
+    """Close a recording; False when that does not end. Rerun waits for its writer for ever, even one that a full disk
+    has killed, and would do so again when the process ends."""
+    import rerun as rr
+
+    closing = threading.Thread(target=recording.disconnect, daemon=True)
+    closing.start()
+    closing.join(seconds)
+    if closing.is_alive():
+        rr.unregister_shutdown()
+    return not closing.is_alive()
 
 
 def _check_whole(file: Path) -> None:

@@ -32,7 +32,9 @@ def draw_matches(sheet: Sheet, drawn: Drawn, dataset: Dataset, name: str, scan: 
         chosen = [rows[i] for i in spread_frames(len(rows), n_pairs)]
         for row in progress(chosen, f"drawing {name}, matches"):
             _draw_pair(sheet, scan, found, row)
-    drawn.note(bool(chosen), f"matches of {len(chosen)} of {len(rows)} pairs", "no pair has any")
+    drawn.note(
+        bool(chosen), f"matches of {len(chosen)} of {len(rows)} pairs", "--pairs 0" if rows else "no pair has any"
+    )
     if chosen:
         drawn.layers.add("matches")
 

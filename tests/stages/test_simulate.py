@@ -3,6 +3,7 @@ from __future__ import annotations
 import contextlib
 import json
 import random
+import shutil
 import subprocess
 import sys
 import time
@@ -140,6 +141,20 @@ def test_again_is_up_to_date_other_options_are_refused_and_force_replaces(tmp_pa
     assert made(root, seed=1, force=True) == ["made scan phone_scan0", "made truth phone_scan0"]
     assert made(root, seed=1) == ["up to date scan phone_scan0"]
     assert validate(Dataset(root)) == []
+
+
+def test_truth_that_was_lost_comes_again_and_the_recording_stays_the_same(tmp_path: Path) -> None:
+    root = tmp_path / "d"
+    made(root)
+    before = digests(root)
+    shutil.rmtree(root / "truth" / "phone_scan0")
+    assert made(root) == ["made scan phone_scan0", "made truth phone_scan0"]
+    assert digests(root) == before
+
+
+def test_a_name_given_twice_is_made_once(tmp_path: Path) -> None:
+    names = made(tmp_path / "d", only=("phone_scan0", "phone_scan0"))
+    assert names == ["made scan phone_scan0", "made truth phone_scan0"]
 
 
 def test_more_recordings_are_added_to_those_that_are_there(tmp_path: Path) -> None:

@@ -3,12 +3,15 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
+from bask_data import view
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, BaskError, UsageError, WouldOverwrite
@@ -426,6 +429,7 @@ def test_nothing_to_show_is_said_so(tmp_path):
 def test_rerun_switched_off_is_said_so(dataset, tmp_path):
     code = f"""
 from pathlib import Path
+from types import SimpleNamespace
 from bask_data.dataset import Dataset
 from bask_data.view import Choice, save_recording
 save_recording(Dataset({str(dataset.root)!r}), Path({str(tmp_path / "a.rrd")!r}), Choice(["scan-a"]))
@@ -438,15 +442,27 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(dataset, tmp_path):
     code = f"""
 import resource
 from pathlib import Path
+from types import SimpleNamespace
 from bask_data.dataset import Dataset
 from bask_data.view import Choice, save_recording
 dataset = Dataset({str(dataset.root)!r})
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 save_recording(dataset, Path({str(tmp_path / "a.rrd")!r}), Choice(["scan-a"]))
 """
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=240)
     assert f"{BaskError.__name__}: {tmp_path / 'a.rrd'}: expected a file that takes all" in ended.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_writer_that_never_ends_is_given_up(monkeypatch):
+    import rerun
+
+    released, unregistered = threading.Event(), []
+    monkeypatch.setattr(rerun, "unregister_shutdown", lambda: unregistered.append(True))
+    assert not view._closed(SimpleNamespace(disconnect=released.wait), seconds=0.05)
+    assert unregistered == [True]
+    released.set()
+    assert view._closed(SimpleNamespace(disconnect=lambda: None), seconds=10)
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peaks are read from /proc")
@@ -470,6 +486,7 @@ def test_memory_does_not_grow_with_the_frames(tmp_path):
         file = tmp_path / f"{item}.rrd"
         code = f"""
 from pathlib import Path
+from types import SimpleNamespace
 from bask_data.dataset import Dataset
 from bask_data.view import Choice, save_recording
 save_recording(Dataset({str(dataset.root)!r}), Path({str(file)!r}), Choice([{item!r}]))
