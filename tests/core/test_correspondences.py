@@ -202,7 +202,7 @@ def followed(u, v, label, a, b, b_from_a, tolerance, max_cycle):
         return pixel, "doubtful_in_b"
     if np.linalg.norm(back - (u, v)) > max_cycle:
         return pixel, "cycle"
-    farther = b_from_a @ np.append((z + a.noise * (tolerance[0] + tolerance[1] * z)) * ray, 1.0)
+    farther = b_from_a @ np.append((z + 2 * a.noise * (tolerance[0] + tolerance[1] * z)) * ray, 1.0)
     reach = round(np.linalg.norm((b.K @ farther[:3] / farther[2])[:2] - pixel))
     if is_crowded(b.depth, column, row, point[2], b.margin + min(reach, 6), tolerance):
         return pixel, "edge_in_b"
