@@ -24,10 +24,10 @@ def cases() -> Iterator[tuple[str, Callable[[], object], Callable[[], object]]]:
         lambda: distance_maps(descriptors, references),
         lambda: torch.stack([(last - reference).norm(dim=-1) / D**0.5 for reference in references]),
     )
-    network = DescriptorNetwork(NetworkSettings(18, 16, 120)).eval()
+    network = DescriptorNetwork(NetworkSettings("resnet18", 16, 120)).eval()
     network.channels_last()
     rgb = np.random.default_rng(0).integers(0, 256, (480, 640, 3), dtype=np.uint8)
-    whole = DescriptorNetwork(NetworkSettings(18, 16, 480)).eval()
+    whole = DescriptorNetwork(NetworkSettings("resnet18", 16, 480)).eval()
     found = torch.randn(K, 16).numpy()
     yield (
         "a frame described at 120x160, as the default network does, against 480x640",

@@ -62,7 +62,7 @@ def cases() -> Iterator[tuple[str, Callable[[], object], Callable[[], object]]]:
     observations, descriptors, references = frames()
     rng = np.random.default_rng(0)
     belief, _ = particle_step(None, observations, None, rng)
-    network = DescriptorNetwork(NetworkSettings(depth=18, descriptor_dim=DIMENSION, height=SIZE)).eval()
+    network = DescriptorNetwork(NetworkSettings("resnet18", descriptor_dim=DIMENSION, height=SIZE)).eval()
     images = rng.integers(0, 256, (2, SIZE, SIZE, 3), dtype=np.uint8)
 
     def step() -> object:

@@ -121,7 +121,7 @@ def cases() -> Iterator[tuple[str, Callable[[], object], Callable[[], object]]]:
 
 def network() -> DescriptorNetwork:
     torch.manual_seed(0)
-    return DescriptorNetwork(NetworkSettings(18, 16, SIZE[0]))
+    return DescriptorNetwork(NetworkSettings("resnet18", 16, SIZE[0]))
 
 
 def ready_steps(source: Scene, sample: SampleSettings, settings: TrainingSettings) -> None:

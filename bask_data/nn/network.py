@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -13,13 +15,40 @@ import torch
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 from safetensors.torch import load_file, save_file
-from torch import Tensor
+from torch import Tensor, nn
 
 from bask_data.core.geometry import scale_intrinsics, scale_pixels
-from bask_data.nn.resnet import STRIDE, DenseResNet, sampled, upsampled
+from bask_data.nn.resnet import DEPTHS, STRIDE, DenseResNet, load_weights, read_weights, sampled, upsampled
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
+
+
+@dataclass(frozen=True)
+class Backbone:
+    """An encoder that images can be described with.
+
+    Args:
+        description: for a user who chooses.
+        build: the encoder for a number of outputs; the tensors by name of its weights, where they are at hand, tell
+            what the name of the backbone leaves open. An encoder takes normalised images to cells at stride 8, and what
+            comes after its features is called `head`.
+        frozen: only the head is trained, and the rest stays as it was given.
+    """
+
+    description: str
+    build: Callable[[int, Mapping[str, Tensor]], nn.Module]
+    frozen: bool = False
+
+
+def _resnet(depth: int, n_outputs: int, state: Mapping[str, Tensor]) -> nn.Module:
+    return DenseResNet(depth, n_outputs)
+
+
+BACKBONES = {
+    f"resnet{depth}": Backbone(f"dilated ResNet-{depth}, stride 8", partial(_resnet, depth)) for depth in DEPTHS
+}
+"""What a network can be built on, by the name that `model.json` gives it."""
 
 
 @dataclass(frozen=True)
@@ -27,34 +56,60 @@ class NetworkSettings:
     """What a network is, beside its weights.
 
     Args:
-        depth: layers of the ResNet.
+        backbone: one of `BACKBONES`.
         height: pixels that images are resized to; the width follows from the image.
         mean, std: of the colour channels in [0, 1], taken away and divided by.
     """
 
-    depth: int
+    backbone: str
     descriptor_dim: int
     height: int
     mean: tuple[float, float, float] = IMAGENET_MEAN
     std: tuple[float, float, float] = IMAGENET_STD
 
 
-class DescriptorNetwork(torch.nn.Module):
-    """A Dense Object Net with everything needed to describe images."""
+class DescriptorNetwork(nn.Module):
+    """A Dense Object Net with everything needed to describe images.
 
-    def __init__(self, settings: NetworkSettings) -> None:
+    Args:
+        state: weights the encoder is built for, by name; they are looked at, not taken over.
+
+    Raises:
+        ValueError: there is no such backbone.
+    """
+
+    def __init__(self, settings: NetworkSettings, state: Mapping[str, Tensor] | None = None) -> None:
         super().__init__()
+        if settings.backbone not in BACKBONES:
+            raise ValueError(f"backbone: expected one of {', '.join(BACKBONES)}, got {settings.backbone}")
         self.settings = settings
-        self.resnet = DenseResNet(settings.depth, settings.descriptor_dim)
+        backbone = BACKBONES[settings.backbone]
+        self.encoder = backbone.build(settings.descriptor_dim, state or {})
+        self._frozen = backbone.frozen
+        if backbone.frozen:
+            self.encoder.requires_grad_(False)
+            self.encoder.get_submodule("head").requires_grad_(True)
 
     @property
     def device(self) -> torch.device:
         """Where the weights are."""
-        return self.resnet.conv1.weight.device
+        return next(self.encoder.parameters()).device
+
+    def trainable_parameters(self) -> Iterator[nn.Parameter]:
+        """Parameters that training changes: of a frozen encoder the head's."""
+        return (parameter for parameter in self.parameters() if parameter.requires_grad)
+
+    def train(self, mode: bool = True) -> DescriptorNetwork:
+        """Set the mode; what is frozen stays as in use, or its batch statistics would drift."""
+        super().train(mode)
+        if self._frozen:
+            self.encoder.eval()
+            self.encoder.get_submodule("head").train(mode)
+        return self
 
     def channels_last(self) -> None:
         """Lay the weights out as the images are: convolutions on a CPU are faster so, and on a GPU no slower."""
-        for parameter in self.resnet.parameters():
+        for parameter in self.encoder.parameters():
             if parameter.ndim == 4:
                 parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
 
@@ -67,7 +122,7 @@ class DescriptorNetwork(torch.nn.Module):
 
     def forward(self, rgb: UInt8[Tensor, "b h w 3"]) -> Float[Tensor, "b d h8 w8"]:
         """Descriptors at stride 8 of images of any size."""
-        return self.resnet(self.normalised(rgb))
+        return self.encoder(self.normalised(rgb))
 
     def input_size(self, size: tuple[int, int]) -> tuple[int, int]:
         """(height, width) that an image of `size` is resized to: the network's height, the image's shape."""
@@ -116,11 +171,36 @@ class DescriptorNetwork(torch.nn.Module):
 
     def save(self, folder: Path) -> None:
         """Write `weights.safetensors` and `model.json`."""
-        state = {name: value.detach().cpu().contiguous() for name, value in self.resnet.state_dict().items()}
+        state = {name: value.detach().cpu().contiguous() for name, value in self.encoder.state_dict().items()}
         save_file(state, folder / "weights.safetensors")
-        content = {"network": "dilated ResNet, stride 8", "distance": "|a - b| / sqrt(descriptor_dim)"}
+        content = {
+            "network": BACKBONES[self.settings.backbone].description,
+            "distance": "|a - b| / sqrt(descriptor_dim)",
+        }
         text = json.dumps({**content, **asdict(self.settings)}, indent=2, sort_keys=True)
         (folder / "model.json").write_text(text + "\n", encoding="utf-8")
+
+
+def create(settings: NetworkSettings, seed: int, weights: Path | None = None) -> DescriptorNetwork:
+    """An untrained network, by itself the same for the same seed.
+
+    Args:
+        weights: file of pretrained weights, .safetensors or torch's, in the names of the backbone's first publisher.
+            What the file lacks of the head keeps its random start.
+
+    Raises:
+        ValueError: there is no such backbone, or the file is not of it.
+    """
+    state = {} if weights is None else _read(weights)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        network = DescriptorNetwork(settings, state)
+    if weights is None:
+        return network
+    missing = [name for name in load_weights(network.encoder, state).missing if not name.startswith("head.")]
+    if missing:
+        raise ValueError(f"{missing[0]}: expected all weights of a {settings.backbone}, got {len(missing)} missing")
+    return network
 
 
 def load(folder: Path, device: str | torch.device | None = None) -> DescriptorNetwork:
@@ -131,16 +211,17 @@ def load(folder: Path, device: str | torch.device | None = None) -> DescriptorNe
     """
     content = json.loads((folder / "model.json").read_text(encoding="utf-8"))
     settings = NetworkSettings(
-        depth=content["depth"],
+        backbone=content["backbone"],
         descriptor_dim=content["descriptor_dim"],
         height=content["height"],
         mean=tuple(content["mean"]),
         std=tuple(content["std"]),
     )
-    network = DescriptorNetwork(settings)
+    state = load_file(folder / "weights.safetensors")
+    network = DescriptorNetwork(settings, state)
     network.channels_last()
     try:
-        network.resnet.load_state_dict(load_file(folder / "weights.safetensors"))
+        network.encoder.load_state_dict(state)
     except RuntimeError as error:
         raise ValueError(f"weights.safetensors does not fit model.json: {str(error)[:300]}") from error
     return network.to(best_device() if device is None else device).eval()
@@ -169,3 +250,10 @@ def _resized(rgb: UInt8[ndarray, "h w 3"], size: tuple[int, int]) -> UInt8[ndarr
     # Area averaging keeps the image's edges where they are, as scale_pixels assumes, and does not alias.
     shrinking = size[0] < rgb.shape[0]
     return cv2.resize(rgb, (size[1], size[0]), interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR)
+
+
+def _read(file: Path) -> dict[str, Tensor]:
+    try:
+        return read_weights(file)
+    except Exception as error:  # torch and safetensors raise their own kinds for broken files.
+        raise ValueError(f"a file that is not read: {str(error)[:300]}") from error

@@ -140,7 +140,7 @@ class Loaded:
     unused: tuple[str, ...]
 
 
-def load_weights(network: DenseResNet, state: Mapping[str, Tensor]) -> Loaded:
+def load_weights(network: nn.Module, state: Mapping[str, Tensor]) -> Loaded:
     """Take over pretrained weights. The classifier `fc` is left out; `head` keeps its random start unless given.
 
     Raises:

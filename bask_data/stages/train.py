@@ -185,34 +185,19 @@ def train(
 
 
 def _network(params: TrainParams) -> DescriptorNetwork:
-    import torch
+    from bask_data.nn.network import NetworkSettings, create
 
-    from bask_data.nn.network import DescriptorNetwork, NetworkSettings
-    from bask_data.nn.resnet import load_weights, read_weights
-
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(params.seed)
-        depth = int(params.backbone.removeprefix("resnet"))
-        network = DescriptorNetwork(NetworkSettings(depth, params.descriptor_dim, params.image_height))
+    settings = NetworkSettings(params.backbone, params.descriptor_dim, params.image_height)
     if params.weights is None:
-        return network
+        return create(settings, params.seed)
     file = Path(params.weights)
     if not file.is_file():
         raise UsageError("train", "weights", expected="a file", got=file, fix="give its path, or leave it out.")
     try:
-        loaded = load_weights(network.resnet, read_weights(file))
-    except Exception as error:  # torch and safetensors raise their own kinds for broken files.
-        raise BadData(file, "", expected=f"weights of a {params.backbone}", got=str(error)[:300]) from error
-    missing = [name for name in loaded.missing if not name.startswith("head.")]
-    if missing:
-        raise BadData(
-            file,
-            missing[0],
-            expected=f"all weights of a {params.backbone}",
-            got=f"{len(missing)} missing",
-            fix="choose the --backbone the file was made for.",
-        )
-    return network
+        return create(settings, params.seed, file)
+    except ValueError as error:
+        fix = "choose the --backbone the file was made for."
+        raise BadData(file, "", expected=f"weights of a {params.backbone}", got=str(error), fix=fix) from error
 
 
 class ScanPairs:

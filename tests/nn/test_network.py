@@ -12,7 +12,7 @@ from bask_data.nn.network import DescriptorNetwork, NetworkSettings, distance_ma
 
 def small_network(height: int = 48, dim: int = 8) -> DescriptorNetwork:
     torch.manual_seed(0)
-    return DescriptorNetwork(NetworkSettings(depth=18, descriptor_dim=dim, height=height)).eval()
+    return DescriptorNetwork(NetworkSettings("resnet18", descriptor_dim=dim, height=height)).eval()
 
 
 def image(height: int, width: int, seed: int = 0) -> np.ndarray:

@@ -27,7 +27,7 @@ AUGMENT = AugmentSettings(rotation=0.3)
 
 def new_network(height: int = 32) -> DescriptorNetwork:
     torch.manual_seed(0)
-    return DescriptorNetwork(NetworkSettings(depth=18, descriptor_dim=8, height=height))
+    return DescriptorNetwork(NetworkSettings("resnet18", descriptor_dim=8, height=height))
 
 
 def weights(network: DescriptorNetwork) -> dict[str, torch.Tensor]:
@@ -130,7 +130,7 @@ def test_frozen_batch_norm_keeps_its_statistics():
     train_network(network, ScenePairs(), SAMPLE, AUGMENT, replace(SETTINGS, steps=2, frozen_batch_norm=True))
     after = weights(network)
     assert all(torch.equal(before[name], after[name]) for name in before if "running" in name)
-    assert not torch.equal(before["resnet.conv1.weight"], after["resnet.conv1.weight"])
+    assert not torch.equal(before["encoder.conv1.weight"], after["encoder.conv1.weight"])
 
 
 def test_rates_follow_their_schedule():
@@ -145,7 +145,7 @@ def test_rates_follow_their_schedule():
 def test_a_loss_that_is_no_number_stops_training():
     network = new_network()
     with torch.no_grad():
-        network.resnet.head.weight.fill_(float("nan"))
+        network.encoder.head.weight.fill_(float("nan"))
     with pytest.raises(FloatingPointError, match="loss is nan at step 2; a smaller learning rate may help"):
         train_network(network, ScenePairs(), SAMPLE, AUGMENT, SETTINGS)
 
@@ -163,7 +163,7 @@ def test_pixel_errors_are_measured_in_pixels_of_the_image():
             v, u = torch.meshgrid(torch.arange(12.0), torch.arange(16.0), indexing="ij")
             return torch.stack([8 * u + 3.5, 8 * v + 3.5])[None]
 
-    network.resnet = Positions(network.resnet.conv1)
+    network.encoder = Positions(network.encoder.conv1)
     source = ScenePairs(n_views=2)
     pixels, shares = pixel_errors(network, source, [0], 10_000)
     pair = source.pair(0)

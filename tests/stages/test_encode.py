@@ -203,7 +203,7 @@ def network_and_reference(root: Path, dimension: int) -> tuple[DescriptorNet, Re
     from bask_data.nn.network import DescriptorNetwork, NetworkSettings
 
     torch.manual_seed(0)
-    network = DescriptorNetwork(NetworkSettings(depth=18, descriptor_dim=4, height=32)).eval()
+    network = DescriptorNetwork(NetworkSettings("resnet18", descriptor_dim=4, height=32)).eval()
     for name in ("descriptor", "reference"):
         (root / name).mkdir()
     network.save(root / "descriptor")

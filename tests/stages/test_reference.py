@@ -24,7 +24,7 @@ GOLDEN = Path(__file__).parent / "golden"
 
 def untrained() -> DescriptorNetwork:
     torch.manual_seed(0)
-    return DescriptorNetwork(NetworkSettings(depth=18, descriptor_dim=8, height=48)).eval()
+    return DescriptorNetwork(NetworkSettings("resnet18", descriptor_dim=8, height=48)).eval()
 
 
 @pytest.fixture(scope="module")

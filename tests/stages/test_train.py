@@ -152,7 +152,7 @@ def test_pretrained_weights_are_taken_over(tmp_path):
     options = {"weights": str(tmp_path / "resnet18.pth"), "learning_rate": 1e-9, "weight_decay": 0.0, "steps": 1}
     outcome = made(dataset, **options, held_out=0.0)
     assert outcome.status == "made", outcome.why
-    found = load(dataset.path(DescriptorNet), "cpu").resnet.state_dict()
+    found = load(dataset.path(DescriptorNet), "cpu").encoder.state_dict()
     torch.testing.assert_close(found["layer4.1.conv2.weight"], state["layer4.1.conv2.weight"], atol=1e-6, rtol=0)
 
 
@@ -177,7 +177,7 @@ def test_broken_or_foreign_weights_are_refused(dataset, tmp_path):
     state = DenseResNet(18, 8).state_dict()
     torch.save({name: value for name, value in state.items() if not name.startswith("layer4")}, tmp_path / "part.pth")
     outcome = made(dataset, weights=str(tmp_path / "part.pth"))
-    assert "part.pth: layer4.0.conv1.weight: expected all weights of a resnet18, got 25 missing" in outcome.why
+    assert "layer4.0.conv1.weight: expected all weights of a resnet18, got 25 missing" in outcome.why
 
 
 def test_a_dataset_without_scenes_to_train_on_is_refused(tmp_path):
@@ -210,6 +210,6 @@ def test_golden(dataset, loss):
 
 def test_the_model_is_described(dataset, trained):
     model = json.loads((dataset.path(DescriptorNet) / "model.json").read_text())
-    assert model["depth"] == 18
+    assert model["backbone"] == "resnet18"
     assert model["descriptor_dim"] == 8
     assert model["height"] == 32
