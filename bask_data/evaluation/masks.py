@@ -1,0 +1,177 @@
+"""Visible masks against labels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from bask_data.dataset import Dataset
+from bask_data.errors import BadData
+from bask_data.evaluation.scenes import scenes_with_truth
+from bask_data.kinds import Truth, VisibleMasks
+from bask_data.kinds.truth import ROBOT
+from bask_data.progress import progress
+
+if TYPE_CHECKING:
+    import numpy as np
+
+LEAST_PIXELS = 100
+"""Bodies that show fewer pixels in all frames together are not asked for."""
+
+
+@dataclass(frozen=True)
+class ObjectScore:
+    """A body, or several that touch, and the instance it was paired with.
+
+    Args:
+        instance: 0 when none is left for it.
+        iou: of the visible masks, over all frames at once.
+    """
+
+    names: tuple[str, ...]
+    instance: int
+    iou: float
+    n_pixels: int
+
+
+@dataclass(frozen=True)
+class MaskScore:
+    """The masks of one scene against its labels.
+
+    Args:
+        n_found: instances of the scene.
+        n_pixels: of all masks in all frames.
+        n_on_robot: of those, pixels that show the robot.
+    """
+
+    objects: tuple[ObjectScore, ...]
+    n_found: int
+    n_frames: int
+    n_pixels: int
+    n_on_robot: int
+
+    @property
+    def count_is_right(self) -> bool:
+        """As many instances as bodies, those that touch counted as one."""
+        return self.n_found == len(self.objects)
+
+
+@dataclass
+class MaskCounts:
+    """Pixels of a scene's masks, over the frames of all cameras that were looked at.
+
+    Args:
+        table: of `core.scores.overlap` with the labels, where there are some; those of bodies that touch are one, and
+            the robot's are background.
+        n_pixels: by instance (256,).
+        n_labelled_frames: frames with labels.
+        n_labelled_pixels: of the masks in those.
+        n_on_robot: of these, pixels that show the robot.
+    """
+
+    table: np.ndarray
+    n_pixels: np.ndarray
+    n_frames: int = 0
+    n_labelled_frames: int = 0
+    n_labelled_pixels: int = 0
+    n_on_robot: int = 0
+
+
+def count_masks(masks: VisibleMasks, truth: Truth | None, frames: Callable[[int], Sequence[int]] = range) -> MaskCounts:
+    """Count a scene's masks, and where labels tell what is shown, hold them against these.
+
+    Args:
+        frames: which of a camera's frames to look at, by how many there are.
+
+    Raises:
+        BadData: masks and labels differ in size.
+    """
+    import numpy as np
+
+    from bask_data.core import scores
+
+    groups = label_groups(truth)
+    n = scores.N_LABELS
+    counts = MaskCounts(np.zeros((n, n), np.int64), np.zeros(n, np.int64))
+    for name in masks.camera_names:
+        camera = masks.camera(name)
+        chosen = frames(camera.n_frames)
+        counts.n_frames += len(chosen)
+        for i_frame in progress(chosen, f"measuring masks of {masks.path.name}"):
+            instance = camera.instance(i_frame)
+            counts.n_pixels += np.bincount(instance.ravel(), minlength=n)
+            if truth is None or name not in truth.camera_names:
+                continue
+            labels = truth.instance(name, i_frame)
+            if labels.shape != instance.shape:
+                raise BadData(
+                    masks.path / name,
+                    "instance",
+                    expected=f"images of the size of the true labels, {labels.shape}",
+                    got=instance.shape,
+                )
+            counts.table += scores.overlap(groups[labels], instance)
+            counts.n_labelled_frames += 1
+            counts.n_labelled_pixels += int(np.count_nonzero(instance))
+            counts.n_on_robot += int(np.count_nonzero(instance[labels == ROBOT]))
+    return counts
+
+
+def label_groups(truth: Truth | None) -> np.ndarray:
+    """For each label (256,) the one it is counted as: bodies that touch are one, the robot is background."""
+    from bask_data.core import scores
+
+    groups = scores.joined(truth.touching if truth else [])
+    groups[ROBOT] = 0
+    return groups
+
+
+def masks_of(dataset: Dataset, scene: str) -> MaskScore:
+    """Hold a scene's masks against its labels, in all cameras and frames that have both.
+
+    Raises:
+        BadData: they differ in size.
+    """
+    from bask_data.core import scores
+
+    masks, truth = VisibleMasks(dataset.path(VisibleMasks, scene)), Truth(dataset.path(Truth, scene))
+    counts, groups = count_masks(masks, truth), label_groups(truth)
+    counts.table[counts.table.sum(axis=1) < LEAST_PIXELS] = 0
+    return MaskScore(
+        tuple(
+            ObjectScore(_names(truth, groups, pair.label), pair.instance, pair.iou, pair.n_pixels)
+            for pair in scores.paired_instances(counts.table)
+        ),
+        masks.n_instances,
+        counts.n_labelled_frames,
+        counts.n_labelled_pixels,
+        counts.n_on_robot,
+    )
+
+
+def _names(truth: Truth, groups: np.ndarray, label: int) -> tuple[str, ...]:
+    """Names of the bodies in a group."""
+    return tuple(name for one, name in sorted(truth.label_names.items()) if groups[one] == label)
+
+
+def evaluated_masks(dataset: Dataset, only: Sequence[str] = ()) -> dict[str, Any]:
+    """Scores of every scene that has masks and truth, and over all of them, as plain JSON values.
+
+    `counted` is the share of scenes with as many instances as objects, `iou` the mean over objects, `worst` the least,
+    `on_robot` the share of the masks' pixels that show the robot.
+    """
+    scored = {scene: masks_of(dataset, scene) for scene in scenes_with_truth(dataset, VisibleMasks, only)}
+    objects = [one.iou for score in scored.values() for one in score.objects]
+    n_pixels = sum(score.n_pixels for score in scored.values())
+    everything = {
+        "counted": _mean([score.count_is_right for score in scored.values()]),
+        "iou": _mean(objects),
+        "worst": min(objects, default=None),
+        "on_robot": sum(score.n_on_robot for score in scored.values()) / n_pixels if n_pixels else None,
+    }
+    return {"scenes": {scene: asdict(score) for scene, score in scored.items()}, "all": everything}
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return sum(values) / len(values) if values else None

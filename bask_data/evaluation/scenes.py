@@ -1,0 +1,36 @@
+"""Which scenes can be measured."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+
+from bask_data.artifact import MANIFEST, Artifact
+from bask_data.dataset import Dataset
+from bask_data.errors import UsageError
+from bask_data.kinds import Truth
+
+
+def scenes_with_truth(dataset: Dataset, kind: type[Artifact], only: Sequence[str]) -> list[str]:
+    """The scenes asked for, or all that have both the artifact and truth.
+
+    Raises:
+        UsageError: there is none, or one asked for lacks either.
+    """
+    known = dataset.items("scene")
+    for name in only:
+        if name not in known:
+            raise UsageError(dataset.root, "--only", expected=f"one of {', '.join(known) or 'no scenes'}", got=name)
+    scenes = [
+        name for name in only or known if all((dataset.path(one, name) / MANIFEST).exists() for one in (kind, Truth))
+    ]
+    if not scenes or (only and len(scenes) < len(only)):
+        raise UsageError(
+            dataset.root,
+            ", ".join(name for name in only if name not in scenes),
+            expected=f"a scene with truth and {kind.kind}",
+            got="none",
+            fix=f"bask-data run {shlex.quote(str(dataset.root))}; truth comes with `ingest sim` and with labelled "
+            "recordings.",
+        )
+    return scenes
