@@ -14,6 +14,7 @@ from bask_data.artifact import MANIFEST, Artifact, Manifest, read_json
 from bask_data.core import scores
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, BaskError
+from bask_data.evaluation.masks import count_masks, label_groups
 from bask_data.kinds import (
     KINDS,
     Camera,
@@ -31,7 +32,6 @@ from bask_data.kinds import (
     VisibleMasks,
 )
 from bask_data.kinds.truth import ROBOT
-from bask_data.progress import progress
 
 TOLERANCE_PX = 5.0
 """A keypoint this close to its object counts as near: labels drawn by people are not better than that."""
@@ -275,51 +275,25 @@ def masks_figures(masks: VisibleMasks | None, truth: Truth | None) -> dict[str, 
     """
     if masks is None:
         return {}
-    groups = scores.joined(truth.metadata.touching if truth else [])
-    groups[ROBOT] = 0
-    table = np.zeros((scores.N_LABELS, scores.N_LABELS), dtype=np.int64)
-    n_pixels = np.zeros(scores.N_LABELS, dtype=np.int64)
-    visible, certain, n_frames, n_measured, n_labelled = [], [], 0, 0, 0
-    n_masked = n_on_robot = 0
-    for name in masks.camera_names:
-        camera = masks.camera(name)
-        n_frames += camera.n_frames
-        visible.append(camera.visible_fraction)
-        certain.append(camera.measured_fraction)
-        labelled = truth is not None and name in truth.camera_names
-        frames = spread_frames(camera.n_frames, MOST_MEASURED)
-        n_measured += len(frames)
-        for i_frame in progress(frames, f"measuring masks of {masks.path.name}"):
-            instance = camera.instance(i_frame)
-            n_pixels += np.bincount(instance.ravel(), minlength=scores.N_LABELS)
-            if labelled and truth is not None:
-                labels = _same_size(truth.instance(name, i_frame), instance, truth, name)
-                table += scores.overlap(groups[labels], instance)
-                n_masked += int(np.count_nonzero(instance))
-                n_on_robot += int(np.count_nonzero(instance[labels == ROBOT]))
-                n_labelled += 1
-    none = np.zeros((0, 0))
+    cameras = [masks.camera(name) for name in masks.camera_names]
+    visible, certain = ([getattr(one, f"{what}_fraction") for one in cameras] for what in ("visible", "measured"))
+    counts = count_masks(masks, truth, lambda n: spread_frames(n, MOST_MEASURED))
+    none, n_labelled = np.zeros((0, 0)), counts.n_labelled_pixels
     return {
-        "n_frames": n_frames,
-        "n_measured_frames": n_measured,
+        "n_frames": sum(camera.n_frames for camera in cameras),
+        "n_measured_frames": counts.n_frames,
         "pixels": dict(masks.metadata.pixels),
         "noise": dict(masks.metadata.noise),
         "tolerance": dict(masks.metadata.tolerance),
         "instances": _visibility(
-            np.concatenate(visible) if visible else none, np.concatenate(certain) if certain else none, n_pixels
+            np.concatenate(visible) if visible else none, np.concatenate(certain) if certain else none, counts.n_pixels
         ),
-        "labels": _label_matches(table, truth, groups) if truth is not None and n_labelled else None,
-        "n_labelled_frames": n_labelled,
-        "on_robot_share": n_on_robot / n_masked if truth and ROBOT in truth.label_names and n_masked else None,
+        "labels": _label_matches(counts.table, truth) if truth is not None and counts.n_labelled_frames else None,
+        "n_labelled_frames": counts.n_labelled_frames,
+        "on_robot_share": counts.n_on_robot / n_labelled
+        if truth and ROBOT in truth.label_names and n_labelled
+        else None,
     }
-
-
-def _same_size(labels: np.ndarray, instance: np.ndarray, truth: Truth, camera: str) -> np.ndarray:
-    if labels.shape != instance.shape:
-        raise BadData(
-            truth.path / camera / "instance", "shape", expected=f"{instance.shape} as the masks", got=labels.shape
-        )
-    return labels
 
 
 def _visibility(fraction: np.ndarray, certain: np.ndarray, n_pixels: np.ndarray) -> list[dict[str, Any]]:
@@ -340,7 +314,8 @@ def _visibility(fraction: np.ndarray, certain: np.ndarray, n_pixels: np.ndarray)
     return rows
 
 
-def _label_matches(table: np.ndarray, truth: Truth, groups: np.ndarray) -> list[dict[str, Any]]:
+def _label_matches(table: np.ndarray, truth: Truth) -> list[dict[str, Any]]:
+    groups = label_groups(truth)
     names: dict[int, list[str]] = {}
     for label, name in sorted(truth.label_names.items()):
         if 0 < label < len(groups):

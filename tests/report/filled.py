@@ -76,19 +76,23 @@ def filled_dataset(
     dataset = Dataset.create(root, title, "CC0-1.0")
     scan, demonstration = make_views(0.3, 6), make_views(0.8, 5)
     for item, seen, kind in (("scan-a", scan, Scan), ("demo-a", demonstration, Demonstration)):
-        publish_recording(
-            dataset,
-            item,
-            rgb=[view.rgb for view in seen.views],
-            depth=[view.depth for view in seen.views],
-            K=seen.K,
-            world_from_cameras=seen.world_from_cameras,
-            kind=kind,
-        )
+        publish_frames(dataset, item, seen, kind)
         publish_truth(dataset, item, seen, label_name)
     publish_scene(dataset, "scan-a", scan)
     publish_keypoints(dataset, scan, demonstration, list(names))
     return dataset
+
+
+def publish_frames(dataset: Dataset, item: str, seen: Views, kind: type[Scan] | type[Demonstration] = Scan) -> None:
+    publish_recording(
+        dataset,
+        item,
+        rgb=[view.rgb for view in seen.views],
+        depth=[view.depth for view in seen.views],
+        K=seen.K,
+        world_from_cameras=seen.world_from_cameras,
+        kind=kind,
+    )
 
 
 def publish_truth(dataset: Dataset, item: str, seen: Views, label_name: str) -> None:
@@ -308,6 +312,6 @@ def publish_network(dataset: Dataset, loss_name: str = "loss", validated_on: str
         curve += [(step, "validation_pck_5", step / 100) for step in range(0, 100, 20)]
         DescriptorNet.write(out, validated_on=validated_on, metrics={"validation_pck_5": 0.8}, curve=curve)
         torch.manual_seed(0)
-        DescriptorNetwork(NetworkSettings(depth=18, descriptor_dim=8, height=32)).save(out)
+        DescriptorNetwork(NetworkSettings("resnet18", descriptor_dim=8, height=32)).save(out)
 
     publish_artifact(dataset, DescriptorNet, "", fill)

@@ -15,8 +15,16 @@ from bask_data.dataset import Dataset
 from bask_data.kinds import KeypointTrack, Pick, ReferenceKeypoints, Truth, VisibleMasks
 from bask_data.report import summarise, write_report
 from bask_data.report.page import duration, millimetres, number, percent, size
-from tests.datasets import publish_artifact, publish_recording
-from tests.report.filled import LABELS, OFFSET, filled_dataset, make_views, publish_network, true_places
+from tests.datasets import publish_artifact
+from tests.report.filled import (
+    LABELS,
+    OFFSET,
+    filled_dataset,
+    make_views,
+    publish_frames,
+    publish_network,
+    true_places,
+)
 
 VOID = {"meta", "img", "br", "link", "input"}
 SECTIONS = {
@@ -141,22 +149,10 @@ def test_an_empty_dataset_says_what_is_missing(tmp_path):
     assert summarise(Dataset(tmp_path / "d")) == {"dataset": "d", "artifacts": []}
 
 
-def publish_frames(dataset: Dataset, item: str) -> None:
-    seen = make_views(0.3, 2)
-    publish_recording(
-        dataset,
-        item,
-        rgb=[view.rgb for view in seen.views],
-        depth=[view.depth for view in seen.views],
-        K=seen.K,
-        world_from_cameras=seen.world_from_cameras,
-    )
-
-
 def test_many_scenes_show_the_first_few_and_say_how_many_are_left_out(tmp_path):
     dataset = Dataset.create(tmp_path / "d")
     for i in range(5):
-        publish_frames(dataset, f"scene-{i}")
+        publish_frames(dataset, f"scene-{i}", make_views(0.3, 2))
     page = Page(write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8"))
     assert page.sections == {"frames"}
     assert "5 scenes: the first 3 are shown, 2 are left out" in page.text

@@ -12,14 +12,14 @@ from typer.testing import CliRunner
 
 from bask_data.cli import app
 from bask_data.dataset import Dataset
-from bask_data.kinds import Demonstration, Scan, Truth
+from bask_data.kinds import Demonstration, Truth
 from bask_data.kinds.masks import CameraMasks
 from bask_data.report import measure, summarise, write_report
 from bask_data.report.figures import view_changes
 from bask_data.report.pictures import mask_picture
 from bask_data.report.plots import histogram
-from tests.datasets import publish_artifact, publish_recording
-from tests.report.filled import HEIGHT, LABELS, WIDTH, filled_dataset, make_views, publish_scene
+from tests.datasets import publish_artifact
+from tests.report.filled import HEIGHT, LABELS, WIDTH, filled_dataset, make_views, publish_frames, publish_scene
 from tests.report.test_report import Page
 
 
@@ -40,19 +40,6 @@ def page(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Page:
 
 def page_of(dataset: Dataset, folder: Path) -> Page:
     return Page(write_report(dataset, folder / "r.html").read_text(encoding="utf-8"))
-
-
-def publish_frames(dataset: Dataset, item: str, kind: type[Scan] | type[Demonstration]) -> None:
-    seen = make_views(0.3, 2)
-    publish_recording(
-        dataset,
-        item,
-        rgb=[view.rgb for view in seen.views],
-        depth=[view.depth for view in seen.views],
-        K=seen.K,
-        world_from_cameras=seen.world_from_cameras,
-        kind=kind,
-    )
 
 
 # Reconstruction and objects -------------------------------------------------------------------------------------------
@@ -220,9 +207,9 @@ def test_a_histogram_is_drawn_of_whatever_there_is(values, logarithmic):
 def test_scans_alone_and_demonstrations_alone_make_whole_pages(tmp_path):
     scans, demonstrations = Dataset.create(tmp_path / "s"), Dataset.create(tmp_path / "d")
     for i in range(2):
-        publish_frames(scans, f"scene{i}", Scan)
+        publish_frames(scans, f"scene{i}", make_views(0.3, 2))
         publish_scene(scans, f"scene{i}", make_views(0.3, 6))
-        publish_frames(demonstrations, f"demo{i}", Demonstration)
+        publish_frames(demonstrations, f"demo{i}", make_views(0.3, 2), Demonstration)
     page = page_of(scans, tmp_path)
     assert page.sections == {"frames", "reconstruction", "objects", "masks", "matches"}
     assert "No demonstration, so there is nothing to track keypoints in." in page.text
