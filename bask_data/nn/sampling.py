@@ -1,23 +1,43 @@
 """Training batches: each a pure function of the seed and the number of its step.
 
-So they are the same whoever makes them, in whatever order, and after an interruption.
+So they are the same whoever makes them, in whatever order, and after an interruption. A batch is planned first: which
+matches, which non-matches, how each image is changed. Its pixels are made from the plan, here or on a GPU.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+import torch
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 from numpy.random import Generator
+from torch import Tensor
 
 from bask_data.core.geometry import in_image
-from bask_data.nn.augment import AugmentSettings, moved, painted_over, random_affine, recoloured, warped
+from bask_data.nn import rendering
+from bask_data.nn.augment import (
+    AugmentSettings,
+    Layer,
+    View,
+    covered,
+    layer,
+    moved,
+    pasting_affine,
+    random_affine,
+    random_ground,
+    random_look,
+    random_window,
+    warped_labels,
+)
 
 REDRAWS = 8
 """Times a non-match that came too close to its match is drawn again before it is left out."""
+
+LEAST_SHOWN = 0.25
+"""Share of the matches in view that a pasted object has to leave visible; else the pair goes without it."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +62,14 @@ class PairSource(Protocol):
     @property
     def n_pairs(self) -> int:
         """Number of pairs; each has at least one match."""
+
+    @property
+    def scans(self) -> Int[ndarray, "p"]:
+        """The scan each pair is of, as a number: instances mean the same within a scan alone."""
+
+    @property
+    def n_instances(self) -> Int[ndarray, "p"]:
+        """Instances with matches in the scan each pair is of."""
 
     def pair(self, i_pair: int) -> Pair:
         """One of them."""
@@ -70,10 +98,27 @@ class SampleSettings:
 
 @dataclass(frozen=True)
 class Batch:
-    """Input of one step. Images are of the network's size, coordinates in its pixels."""
+    """Input of one step, arrays or tensors. Images are of the network's size, coordinates in its pixels."""
 
-    rgb_a: UInt8[ndarray, "b h w 3"]
-    rgb_b: UInt8[ndarray, "b h w 3"]
+    rgb_a: UInt8[ndarray | Tensor, "b h w 3"]
+    rgb_b: UInt8[ndarray | Tensor, "b h w 3"]
+    uv_a: Float[ndarray | Tensor, "b m 2"]
+    uv_b: Float[ndarray | Tensor, "b m 2"]
+    non_matches_b: Float[ndarray | Tensor, "b m n 2"]
+    foreground: Bool[ndarray | Tensor, "b m n"]
+    valid: Bool[ndarray | Tensor, "b m n"]
+
+    def on(self, device: torch.device) -> Batch:
+        """The same as tensors on a device."""
+        return Batch(*(rendering.to_device(getattr(self, field.name), device) for field in fields(self)))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A batch before its images are made: what each of them shows, and the rest of `Batch` as it is."""
+
+    views_a: tuple[View, ...]
+    views_b: tuple[View, ...]
     uv_a: Float[ndarray, "b m 2"]
     uv_b: Float[ndarray, "b m 2"]
     non_matches_b: Float[ndarray, "b m n 2"]
@@ -81,59 +126,186 @@ class Batch:
     valid: Bool[ndarray, "b m n"]
 
 
-def batch_of_step(source: PairSource, seed: int, step: int, sample: SampleSettings, augment: AugmentSettings) -> Batch:
-    """The batch that belongs to a step."""
-    rng = np.random.default_rng((seed, step))
-    examples = [_example(source, sample, augment, rng) for _ in range(sample.n_pairs)]
-    return Batch(*(np.stack(column) for column in zip(*examples, strict=True)))
+def batch_of_step(
+    source: PairSource,
+    seed: int,
+    step: int,
+    sample: SampleSettings,
+    augment: AugmentSettings,
+    examples: range | None = None,
+) -> Batch:
+    """The batch that belongs to a step.
+
+    Args:
+        examples: some of the step's pairs instead of all, for one of several processes or a part of a step. What an
+            example is depends on the seed, the step and its own number alone.
+    """
+    plan = plan_of_step(source, seed, step, sample, augment, examples)
+    rgb_a, rgb_b = (np.stack([rendering.drawn(view) for view in views]) for views in (plan.views_a, plan.views_b))
+    return Batch(rgb_a, rgb_b, plan.uv_a, plan.uv_b, plan.non_matches_b, plan.foreground, plan.valid)
+
+
+def plan_of_step(
+    source: PairSource,
+    seed: int,
+    step: int,
+    sample: SampleSettings,
+    augment: AugmentSettings,
+    examples: range | None = None,
+) -> Plan:
+    """The batch that belongs to a step, its images not made yet."""
+    chosen = range(sample.n_pairs) if examples is None else examples
+    found = [_example(source, sample, augment, np.random.default_rng((seed, step, i))) for i in chosen]
+    views_a, views_b, *arrays = zip(*found, strict=True)
+    return Plan(views_a, views_b, *(np.stack(column) for column in arrays))
+
+
+def rendered(plan: Plan, device: torch.device) -> Batch:
+    """The planned batch as tensors, its images made on the device."""
+    rgb = rendering.drawn_on([*plan.views_a, *plan.views_b], device)
+    arrays = (plan.uv_a, plan.uv_b, plan.non_matches_b, plan.foreground, plan.valid)
+    return Batch(*rgb.chunk(2), *(rendering.to_device(array, device) for array in arrays))
+
+
+@dataclass
+class _Side:
+    """One image of a pair on its way to a `View`."""
+
+    rgb: UInt8[ndarray, "h w 3"]
+    out_from_in: Float[ndarray, "2 3"]
+    uv: Float[ndarray, "m 2"]
+    """The matches in the view."""
+    labels: UInt8[ndarray, "h2 w2"]
+    """Visible instances in the view; 0 where something was pasted and off the crop."""
+    shown: Bool[ndarray, "h2 w2"] | None
+    """Where the image has pixels for the view; None: everywhere."""
+    pasted: Layer | None = None
+
+    def shows(self, instance: int) -> Bool[ndarray, "m"]:
+        """Matches at whose pixel the instance is seen."""
+        height, width = self.labels.shape
+        inside = in_image(self.uv, height, width)
+        u, v = np.rint(np.where(inside[:, None], self.uv, 0)).astype(int).T
+        # Rounding takes -0.5 to 0, but the far edge beyond the last pixel.
+        return inside & (self.labels[np.minimum(v, height - 1), np.minimum(u, width - 1)] == instance)
 
 
 def _example(
     source: PairSource, sample: SampleSettings, augment: AugmentSettings, rng: Generator
-) -> tuple[ndarray, ...]:
-    pair = source.pair(int(rng.integers(source.n_pairs)))
+) -> tuple[View | ndarray, ...]:
+    i_pair = int(rng.integers(source.n_pairs))
+    pair = source.pair(i_pair)
     # Instances are drawn evenly, not by their number of matches: small objects are not to be forgotten.
-    chosen = rng.choice(np.unique(pair.instance))
-    of_chosen = np.flatnonzero(pair.instance == chosen)
-    anchor = rng.choice(of_chosen)
+    chosen = int(rng.choice(np.unique(pair.instance)))
+    of_chosen = pair.instance == chosen
+    anchor = int(rng.choice(np.flatnonzero(of_chosen)))
     flipped = bool(rng.random() < augment.flip)
-    images = []
-    both = [(pair.rgb_a, pair.instance_a, pair.uv_a), (pair.rgb_b, pair.instance_b, pair.uv_b)]
     # Pairs are listed in one order, but matches are looked for from either side.
-    for rgb, instance, uv in both[:: rng.choice([1, -1])]:
-        at = uv[anchor].astype(np.float64)
-        out_from_in = random_affine(instance.shape, sample.size, at, flipped, augment, rng)
-        images.append((*augmented(rgb, instance, out_from_in, sample.size, augment, rng), moved(out_from_in, uv)))
-    (rgb_a, _, uv_a), (rgb_b, instance_b, uv_b) = images
-    visible = of_chosen[(in_image(uv_a, *sample.size) & in_image(uv_b, *sample.size))[of_chosen]]
-    taken = rng.choice(visible, sample.n_matches, replace=len(visible) < sample.n_matches)
-    return (
-        rgb_a,
-        rgb_b,
-        uv_a[taken].astype(np.float32),
-        uv_b[taken].astype(np.float32),
-        *non_matches(instance_b == chosen, uv_b[taken], sample, rng),
-    )
+    both = [(pair.rgb_a, pair.instance_a, pair.uv_a), (pair.rgb_b, pair.instance_b, pair.uv_b)][:: rng.choice([1, -1])]
+    a, b = (_placed(*image, anchor, flipped, sample.size, augment, rng) for image in both)
+    visible = of_chosen & a.shows(chosen) & b.shows(chosen)
+    if not visible.any():
+        # Matches at an object's very edge may all round to pixels beyond it. They are right all the same.
+        visible = of_chosen & in_image(a.uv, *sample.size) & in_image(b.uv, *sample.size)
+    elif rng.random() < augment.composition:
+        visible = _composed(a, b, visible, chosen, source, i_pair, flipped, augment, rng)
+    candidates = np.flatnonzero(visible)
+    taken = rng.choice(candidates, sample.n_matches, replace=len(candidates) < sample.n_matches)
+    others = non_matches(b.labels == chosen, b.uv[taken], sample, rng)
+    # Looks are drawn last, so that where a match lies does not depend on how images are coloured.
+    return _view(a, augment, rng), _view(b, augment, rng), a.uv[taken], b.uv[taken], *others
 
 
-def augmented(
+def _placed(
     rgb: UInt8[ndarray, "h w 3"],
     instance: UInt8[ndarray, "h w"],
-    out_from_in: Float[ndarray, "2 3"],
+    uv: Float[ndarray, "m 2"],
+    anchor: int,
+    flipped: bool,
     size: tuple[int, int],
-    settings: AugmentSettings,
+    augment: AugmentSettings,
     rng: Generator,
-) -> tuple[UInt8[ndarray, "h2 w2 3"], UInt8[ndarray, "h2 w2"]]:
-    """An image and its labels, warped and recoloured; what the warp leaves empty is painted over."""
-    out = warped(rgb, out_from_in, size, smooth=True)
-    labels = warped(instance, out_from_in, size, smooth=False)
-    if rng.random() < settings.background:
-        out = painted_over(out, labels > 0, out, rng)
-    else:
-        covered = warped(np.full(instance.shape, 255, np.uint8), out_from_in, size, smooth=False) > 0
-        if not covered.all():
-            out = painted_over(out, covered, out, rng)
-    return recoloured(out, settings, rng), labels
+) -> _Side:
+    """An image's place in its view."""
+    out_from_in = random_affine(instance.shape, size, uv[anchor].astype(np.float64), flipped, augment, rng)
+    labels = warped_labels(instance, out_from_in, size)
+    shown = covered(instance.shape, out_from_in, size)
+    uv_view = moved(out_from_in, uv).astype(np.float32)
+    if augment.crop == "padded":
+        window = np.zeros(size, bool)
+        window[random_window(size, uv_view[anchor], augment, rng)] = True
+        labels[~window] = 0
+        shown = window if shown is None else shown & window
+    return _Side(rgb, out_from_in, uv_view, labels, shown)
+
+
+def _composed(
+    a: _Side,
+    b: _Side,
+    visible: Bool[ndarray, "m"],
+    chosen: int,
+    source: PairSource,
+    i_pair: int,
+    flipped: bool,
+    augment: AugmentSettings,
+    rng: Generator,
+) -> Bool[ndarray, "m"]:
+    """Paste another object over both views; gives the matches that are still visible.
+
+    It is pasted over and not behind: what the sampled object is to learn is to be half hidden.
+    """
+    several = source.n_instances[i_pair] > 1
+    same = source.scans == source.scans[i_pair]
+    # A non-match on the same object would be wrong. Within a scan, another number is another object. The objects of
+    # another scan may well be the same ones again, so only scans of one object, each scan another, take from others.
+    partners = np.flatnonzero(same if several else ~same)
+    if len(partners) == 0:
+        return visible
+    other = source.pair(int(rng.choice(partners)))
+    candidates = np.unique(other.instance)
+    candidates = candidates[candidates != chosen] if several else candidates
+    if len(candidates) == 0:
+        return visible
+    instance = int(rng.choice(candidates))
+    for side, rgb, mask in ((a, other.rgb_a, other.instance_a), (b, other.rgb_b, other.instance_b)):
+        pasted = _pasted(side, rgb, mask == instance, flipped, augment, rng)
+        if pasted is None:
+            continue
+        assert pasted.shown is not None
+        labels = np.where(pasted.shown, np.uint8(0), side.labels)
+        left = visible & replace(side, labels=labels).shows(chosen)
+        if left.sum() >= LEAST_SHOWN * visible.sum():
+            side.labels, side.pasted, visible = labels, pasted, left
+    return visible
+
+
+def _pasted(
+    side: _Side,
+    rgb: UInt8[ndarray, "h w 3"],
+    mask: Bool[ndarray, "h w"],
+    flipped: bool,
+    augment: AugmentSettings,
+    rng: Generator,
+) -> Layer | None:
+    """An object, somewhere over a view; None if there is nothing of it."""
+    if not mask.any():
+        return None
+    size = side.labels.shape
+    affine = pasting_affine(mask, size, flipped, augment, rng)
+    shown = warped_labels(mask.view(np.uint8), affine, size) > 0
+    if side.shown is not None and augment.crop == "padded":
+        shown &= side.shown
+    return layer(rgb, affine, shown) if shown.any() else None
+
+
+def _view(side: _Side, augment: AugmentSettings, rng: Generator) -> View:
+    """The view of an image: what it does not cover, or all but the objects, is painted over."""
+    size = side.labels.shape
+    shown = side.labels > 0 if rng.random() < augment.background else side.shown
+    ground = () if shown is None else (random_ground(size, side.rgb, rng),)
+    pasted = () if side.pasted is None else (side.pasted,)
+    layers = (*ground, layer(side.rgb, side.out_from_in, shown), *pasted)
+    return View(size, layers, random_look(side.rgb, augment, rng))
 
 
 def non_matches(
@@ -149,20 +321,23 @@ def non_matches(
         Pixels, whether each is on the instance, and whether it counts: not, where even repeated draws came too close.
     """
     m, n = len(uv), sample.n_non_matches
-    flat = mask.ravel()
-    on, off = np.flatnonzero(flat), np.flatnonzero(~flat)
-    share = len(on) / flat.size if sample.foreground_share == "auto" else sample.foreground_share
+    on, off = np.flatnonzero(mask), np.flatnonzero(~mask)
+    share = len(on) / mask.size if sample.foreground_share == "auto" else sample.foreground_share
     n_foreground = round(share * n)
     if len(on) == 0 or len(off) == 0:
         n_foreground = n if len(on) else 0
-    foreground = np.broadcast_to(np.arange(n) < n_foreground, (m, n)).copy()
-    pixels = np.empty((m, n, 2), np.float32)
-    redraw = np.ones((m, n), bool)
+    foreground = np.broadcast_to(np.arange(n) < n_foreground, (m, n)).ravel()
+    # Both kinds are numbers of one list, on first: one draw with bounds of its own for each serves both.
+    pool = np.concatenate([on, off]).astype(np.int32)
+    first, end = np.where(foreground, 0, len(on)), np.where(foreground, len(on), len(pool))
+    pixels, close = np.empty((m * n, 2), np.float32), np.arange(m * n)
     for _ in range(REDRAWS):
-        for pool, wanted in ((on, redraw & foreground), (off, redraw & ~foreground)):
-            drawn = rng.choice(pool, int(wanted.sum())) if wanted.any() else np.empty(0, int)
-            pixels[wanted] = np.stack([drawn % mask.shape[1], drawn // mask.shape[1]], axis=-1)
-        redraw = np.linalg.norm(pixels - uv[:, None], axis=-1) < sample.clearance
-        if not redraw.any():
+        flat = pool[rng.integers(first[close], end[close])]
+        pixels[close] = np.stack([flat % mask.shape[1], flat // mask.shape[1]], axis=-1)
+        offset = pixels[close] - uv[close // n]
+        close = close[np.square(offset).sum(axis=1) < sample.clearance**2]
+        if len(close) == 0:
             break
-    return pixels, foreground, ~redraw
+    valid = np.ones(m * n, bool)
+    valid[close] = False
+    return pixels.reshape(m, n, 2), foreground.reshape(m, n), valid.reshape(m, n)

@@ -229,6 +229,7 @@ class ScanPairs:
             b = np.stack([columns["u_b"][rows], columns["v_b"][rows]], axis=-1)
             self.frames.append((pair["camera_a"], pair["frame_a"], pair["camera_b"], pair["frame_b"]))
             self.matches.append((columns["instance"][rows].astype(np.uint8), a, b))
+        self.n_instances = len(np.unique(columns["instance"]))
 
     def frame(self, camera: str, i_frame: int, limit: tuple[int, int] | None) -> tuple[np.ndarray, np.ndarray]:
         """Colour and instances of a frame, shrunk to `limit` (height, width) or as they are."""
@@ -253,7 +254,11 @@ class Pairs:
     """Some pairs of some scans: a `PairSource`."""
 
     def __init__(self, chosen: list[tuple[ScanPairs, int]]) -> None:
+        import numpy as np
+
         self._chosen = chosen
+        self.scans = np.unique([scan.name for scan, _ in chosen], return_inverse=True)[1]
+        self.n_instances = np.array([scan.n_instances for scan, _ in chosen], int)
         self._limit: tuple[int, int] | None = None
         self._frames: dict[tuple[str, str, int], tuple[np.ndarray, np.ndarray]] = {}
         self._bytes = 0

@@ -25,6 +25,14 @@ class ScenePairs:
     def n_pairs(self) -> int:
         return len(self._indices)
 
+    @property
+    def scans(self) -> np.ndarray:
+        return np.zeros(self.n_pairs, int)
+
+    @property
+    def n_instances(self) -> np.ndarray:
+        return np.full(self.n_pairs, 3)
+
     def pair(self, i_pair: int) -> Pair:
         return _pair(self._n_views, self._seed, *self._indices[i_pair], self._n_matches)
 
