@@ -700,6 +700,41 @@ def evaluate_correspondences(root: Root, only: Only = "", json_: Json = False) -
         print(json.dumps({"command": "evaluate correspondences", **found}, indent=2))
 
 
+@evaluate_app.command("descriptor")
+@_reporting
+def evaluate_descriptor(
+    root: Root,
+    variant: Annotated[
+        str, typer.Option(help="Networks to measure beside each other, separated by commas.", metavar="NAMES")
+    ] = "main",
+    scenes: Annotated[
+        str, typer.Option(help="Scenes to measure on. [default: what was held out of training]", metavar="NAMES")
+    ] = "",
+    pairs: Annotated[int, typer.Option(min=1, help="Most pairs of frames, of each scene.")] = 100,
+    alpha: Annotated[
+        float, typer.Option(min=0, help="Temperature of the heat maps whose truthfulness is measured.")
+    ] = 4.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the pairs and their matches.")] = 0,
+    json_: Json = False,
+) -> None:
+    """How well networks find in held-out views what they saw in others.
+
+    By exact depth and cameras where truth knows them, else by the dataset's own matches; told apart by change of scale,
+    rotation, occlusion and object.
+    """
+    from bask_data.evaluation import evaluated_descriptor
+    from bask_data.evaluation.tables import descriptor_tables
+
+    with shown_progress():
+        found = evaluated_descriptor(
+            Dataset(root), _names(variant), scenes=_names(scenes), pairs=pairs, alpha=alpha, seed=seed
+        )
+    for line in descriptor_tables(found):
+        say(line)
+    if json_:
+        print(json.dumps({"command": "evaluate descriptor", **found}, indent=2))
+
+
 def _show_figures(figures: dict[str, float | None]) -> None:
     for name, value in figures.items():
         say(f"    {name:<14} {'unknown' if value is None else f'{value:.4g}'}")

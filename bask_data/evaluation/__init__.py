@@ -6,6 +6,7 @@ Only evaluation reads truth; no stage that makes data does.
 from __future__ import annotations
 
 from bask_data.evaluation.correspondences import evaluated_correspondences
+from bask_data.evaluation.descriptor import evaluated_descriptor
 from bask_data.evaluation.masks import count_masks, evaluated_masks, label_groups
 
-__all__ = ["count_masks", "evaluated_correspondences", "evaluated_masks", "label_groups"]
+__all__ = ["count_masks", "evaluated_correspondences", "evaluated_descriptor", "evaluated_masks", "label_groups"]

@@ -1,0 +1,240 @@
+"""How well descriptors find what was seen before: figures of matches, their curves, and whether heat maps are true.
+
+A query is a pixel of one view; the match that truth gives it is a position in another view. Held against that is the
+best match, the pixel of the other view whose descriptor is closest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+PERCENTS = (1, 2, 4, 8)
+"""Shares of the image's diagonal within which a match counts as found, percent."""
+N_CURVE = 101
+"""Points of a cumulative curve."""
+LIMITS = {"error_share": 1.0, "error_3d": 0.1, "closer_share": 1.0, "false_positive_share": 1.0}
+"""By metric, where its cumulative curve ends: the whole diagonal, ten centimetres, the whole image."""
+
+
+@dataclass(frozen=True)
+class MapScores:
+    """What n distance maps of one image say of n queries. Lengths are in pixels of the image.
+
+    Attributes:
+        best: (u, v) of the smallest distance.
+        expected: (u, v) of the heat map's mean.
+        error_px: from the best match to the true one.
+        closer_share: share of the image's pixels whose distance is smaller than that at the true match.
+        false_positive_px: mean way of those pixels to the true match; 0 if there are none.
+        confidence: share of the heat map within the radius of the best match.
+    """
+
+    best: Float[ndarray, "n 2"]
+    expected: Float[ndarray, "n 2"]
+    error_px: Float[ndarray, " n"]
+    closer_share: Float[ndarray, " n"]
+    false_positive_px: Float[ndarray, " n"]
+    confidence: Float[ndarray, " n"]
+
+
+def map_scores(
+    distance: Float[ndarray, "n h w"],
+    at_truth: Float[ndarray, " n"],
+    true_uv: Float[ndarray, "n 2"],
+    size: tuple[int, int],
+    alpha: float,
+    radius_px: float,
+) -> MapScores:
+    """Hold distance maps against the true matches.
+
+    Args:
+        distance: descriptor distance z; a map spans the image edge to edge and may be coarser or finer.
+        at_truth: the distance at the true match itself, between the pixels.
+        true_uv: pixels of the image.
+        size: (height, width) of the image.
+        alpha: temperature of the heat map softmax(-alpha z).
+        radius_px: of the confidence, pixels of the image.
+
+    Source of `closer_share` and `false_positive_px`: Florence et al. 2018, Sec. 5.1.
+    """
+    n, height, width = distance.shape
+    u = (np.arange(width) + 0.5) * size[1] / width - 0.5
+    v = (np.arange(height) + 0.5) * size[0] / height - 0.5
+    best, expected = np.empty((n, 2)), np.empty((n, 2))
+    closer_share, false_positive_px, confidence = np.empty(n), np.empty(n), np.empty(n)
+    for i, z in enumerate(distance):
+        row, column = divmod(int(z.argmin()), width)
+        best[i] = u[column], v[row]
+        heat = np.exp(-alpha * (z - z[row, column]))
+        total = heat.sum(dtype=np.float64)
+        expected[i] = heat.sum(axis=0, dtype=np.float64) @ u / total, heat.sum(axis=1, dtype=np.float64) @ v / total
+        confidence[i] = _within(heat, u, v, best[i], radius_px) / total
+        rows, columns = np.nonzero(z < at_truth[i])
+        closer_share[i] = len(rows) / z.size
+        ways = np.hypot(u[columns] - true_uv[i, 0], v[rows] - true_uv[i, 1])
+        false_positive_px[i] = ways.mean() if len(ways) else 0.0
+    error_px = np.linalg.norm(best - true_uv, axis=1)
+    return MapScores(best, expected, error_px, closer_share, false_positive_px, confidence)
+
+
+def _within(
+    heat: Float[ndarray, "h w"],
+    u: Float[ndarray, " w"],
+    v: Float[ndarray, " h"],
+    centre: Float[ndarray, "2"],
+    radius: float,
+) -> float:
+    """The heat of all pixels within the radius."""
+    columns, rows = np.flatnonzero(np.abs(u - centre[0]) <= radius), np.flatnonzero(np.abs(v - centre[1]) <= radius)
+    window = heat[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    near = np.hypot(u[columns] - centre[0], (v[rows] - centre[1])[:, None]) <= radius
+    return float(window[near].sum(dtype=np.float64))
+
+
+@dataclass(frozen=True)
+class Records:
+    """What was found of n matches, each with its own figures.
+
+    Attributes:
+        error_px: from the best match to the true one, pixels of the image.
+        error_share: the same as a share of the image's diagonal.
+        error_3d: metres between the surface at the best match and the true point; NaN where no depth is known.
+        closer_share: share of the image's pixels that are closer to the query than the true match is.
+        false_positive_share: mean way of those pixels to the true match, as a share of the image's diagonal.
+        confidence: share of the heat map near the best match.
+        is_near: whether the true match is that near.
+    """
+
+    error_px: Float[ndarray, " n"]
+    error_share: Float[ndarray, " n"]
+    error_3d: Float[ndarray, " n"]
+    closer_share: Float[ndarray, " n"]
+    false_positive_px: Float[ndarray, " n"]
+    false_positive_share: Float[ndarray, " n"]
+    confidence: Float[ndarray, " n"]
+    is_near: Bool[ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.error_px)
+
+    def chosen(self, which: Bool[ndarray, " n"]) -> Records:
+        """Some of them."""
+        return Records(**{name: values[which] for name, values in vars(self).items()})
+
+    @staticmethod
+    def joined(parts: Sequence[Records]) -> Records:
+        """All of several."""
+        names = Records.__dataclass_fields__
+        empty = {name: np.zeros(0, bool if name == "is_near" else float) for name in names}
+        return Records(
+            **{name: np.concatenate([empty[name], *(getattr(part, name) for part in parts)]) for name in names}
+        )
+
+
+def figures(records: Records) -> dict[str, float | int | None]:
+    """What is told of some matches, as plain numbers; None where nothing can be said.
+
+    `pck_4` is the share found within 4 % of the image's diagonal. `area_...` is the area above the cumulative curve of
+    a metric, from 0 to its limit, as a share of the whole: 0 is perfect.
+    """
+    n = len(records)
+    known = records.error_3d[np.isfinite(records.error_3d)]
+    found: dict[str, float | int | None] = {"n": n, "n_3d": len(known)}
+    found["median_px"] = _told(np.median, records.error_px)
+    for percent in PERCENTS:
+        found[f"pck_{percent}"] = _told(np.mean, records.error_share <= percent / 100)
+    found["median_3d_m"] = _told(np.median, known)
+    found["closer_mean"] = _told(np.mean, records.closer_share)
+    found["closer_median"] = _told(np.median, records.closer_share)
+    found["false_positive_px"] = _told(np.mean, records.false_positive_px)
+    found["false_positive_share"] = _told(np.mean, records.false_positive_share)
+    for name, limit in LIMITS.items():
+        found[f"area_{name}"] = area_above(getattr(records, name), limit)
+    return found
+
+
+def _told(of: object, values: ndarray) -> float | None:
+    return float(of(values)) if len(values) else None  # type: ignore[operator]
+
+
+def area_above(values: Float[ndarray, " n"], limit: float) -> float | None:
+    """Area above the cumulative curve of values >= 0 between 0 and the limit, divided by the limit; NaN is left out.
+
+    Each value lies above the curve up to where it is, so the area is the mean of the values, none more than the limit.
+    """
+    known = values[~np.isnan(values)]
+    return _told(np.mean, np.minimum(known, limit) / limit)
+
+
+def cumulative(values: Float[ndarray, " n"], limit: float) -> tuple[Float[ndarray, " x"], Float[ndarray, " x"]]:
+    """Thresholds from 0 to the limit, and the share of the values that are no larger; NaN is left out."""
+    known = np.sort(values[~np.isnan(values)])
+    thresholds = np.linspace(0, limit, N_CURVE)
+    below = np.searchsorted(known, thresholds, side="right")
+    return thresholds, below / len(known) if len(known) else np.full(N_CURVE, np.nan)
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """How often the true match is where the heat map says, by how sure it is: the bins of equal width of a diagram.
+
+    Attributes:
+        n: matches in each bin.
+        confidence: their mean; NaN in an empty bin.
+        accuracy: share of them whose true match is near the best one; NaN in an empty bin.
+    """
+
+    n: Int[ndarray, " bins"]
+    confidence: Float[ndarray, " bins"]
+    accuracy: Float[ndarray, " bins"]
+
+    @property
+    def error(self) -> float:
+        """Expected calibration error: the mean gap between confidence and accuracy, weighted by the bins' numbers; NaN
+        without matches.
+
+        Source: Guo et al. 2017, On Calibration of Modern Neural Networks, Eq. 3.
+        """
+        if not self.n.sum():
+            return float("nan")
+        gap = np.abs(np.nan_to_num(self.confidence) - np.nan_to_num(self.accuracy))
+        return float(self.n @ gap / self.n.sum())
+
+
+def reliability(confidence: Float[ndarray, " n"], is_near: Bool[ndarray, " n"], n_bins: int = 10) -> Reliability:
+    """Hold what heat maps promise against what is true."""
+    i_bin = np.minimum((confidence * n_bins).astype(np.int64), n_bins - 1)
+    n = np.bincount(i_bin, minlength=n_bins)
+    sums = (np.bincount(i_bin, weights=values, minlength=n_bins) for values in (confidence, is_near.astype(float)))
+    confidence_mean, accuracy = (np.where(n > 0, total / np.maximum(n, 1), np.nan) for total in sums)
+    return Reliability(n, confidence_mean, accuracy)
+
+
+def filling(counts: Int[ndarray, "p s"], chosen: Sequence[int], n: int, rng: np.random.Generator) -> list[int]:
+    """Choose rows until there are n, so that the sums over the chosen rows become as equal over the columns as can be.
+
+    The next row is drawn among those that have something in the emptiest column, in proportion to how much.
+
+    Args:
+        counts: what each row adds to each column.
+        chosen: rows that are chosen already.
+    """
+    chosen, free = list(chosen), np.ones(len(counts), bool)
+    free[chosen] = False
+    sums = counts[chosen].sum(axis=0)
+    while len(chosen) < n and free.any():
+        fillable = (counts[free] > 0).any(axis=0)
+        if not fillable.any():
+            break
+        column = int(np.argmin(np.where(fillable, sums, np.iinfo(np.int64).max)))
+        weight = counts[:, column] * free
+        row = int(rng.choice(len(counts), p=weight / weight.sum()))
+        chosen.append(row)
+        free[row] = False
+        sums = sums + counts[row]
+    return chosen

@@ -1,0 +1,105 @@
+"""The frames of a scene as an evaluation reads them: exact where truth knows depth and cameras, else as recorded."""
+
+from __future__ import annotations
+
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+from bask_data.artifact import MANIFEST
+from bask_data.dataset import Dataset
+from bask_data.kinds import Camera, Scan, Truth, VisibleMasks
+from bask_data.kinds.truth import ROBOT
+
+if TYPE_CHECKING:
+    import numpy as np
+
+N_FRAMES_KEPT = 64
+"""Depth and labels of this many frames stay in memory."""
+
+
+class Frame(NamedTuple):
+    """One image of a scene, by its camera's name and its number."""
+
+    camera: str
+    i: int
+
+
+class Frames:
+    """One scene's images, depth, labels and cameras."""
+
+    def __init__(self, dataset: Dataset, scene: str) -> None:
+        self.scene = scene
+        self._scan = Scan(dataset.path(Scan, scene))
+        self.masks = VisibleMasks(dataset.path(VisibleMasks, scene))
+        path = dataset.path(Truth, scene)
+        truth = Truth(path) if (path / MANIFEST).exists() else None
+        self.truth = truth if truth is not None and truth.has_depth else None
+        self.depth = lru_cache(N_FRAMES_KEPT)(self._depth)
+        self.labels = lru_cache(N_FRAMES_KEPT)(self._labels)
+
+    @cached_property
+    def _cameras(self) -> dict[str, Camera]:
+        return {camera.name: camera for camera in self._scan.cameras}
+
+    @cached_property
+    def cameras(self) -> list[str]:
+        """Cameras that can be measured: those of the truth, where it is known."""
+        return [name for name in self._cameras if self.truth is None or name in self.truth.camera_names]
+
+    def n_frames(self, camera: str) -> int:
+        """Number of a camera's frames."""
+        return self._cameras[camera].n_frames
+
+    def size(self, camera: str) -> tuple[int, int]:
+        """(height, width) of a camera's images."""
+        return self._cameras[camera].height, self._cameras[camera].width
+
+    def K(self, camera: str) -> np.ndarray:
+        """Intrinsics (3, 3) of a camera."""
+        return self._cameras[camera].K
+
+    def rgb(self, frame: Frame) -> np.ndarray:
+        """Colours (h, w, 3) uint8."""
+        return self._cameras[frame.camera].rgb(frame.i)
+
+    def _depth(self, frame: Frame) -> np.ndarray:
+        """z-depth (h, w) float32 metres; 0 where nothing is known."""
+        if self.truth is not None:
+            return self.truth.depth(frame.camera, frame.i)
+        return self._cameras[frame.camera].depth(frame.i)
+
+    def _labels(self, frame: Frame) -> np.ndarray:
+        """Objects (h, w) uint8: true labels, or else instances of the masks; 0 is no object."""
+        if self.truth is not None:
+            return self.truth.instance(frame.camera, frame.i)
+        return self.masks.camera(frame.camera).instance(frame.i)
+
+    def world_from_camera(self, frame: Frame) -> np.ndarray:
+        """Where the camera is (4, 4)."""
+        return self._world_from_cameras[frame.camera][frame.i]
+
+    @cached_property
+    def _world_from_cameras(self) -> dict[str, np.ndarray]:
+        if self.truth is not None:
+            return {name: self.truth.world_from_cameras(name) for name in self.cameras}
+        return {name: self._cameras[name].world_from_cameras for name in self.cameras}
+
+    @cached_property
+    def objects(self) -> dict[int, str]:
+        """Name of each label that is an object. The instances of masks are numbered in each scene for itself."""
+        if self.truth is not None:
+            return {label: name for label, name in sorted(self.truth.label_names.items()) if label not in (0, ROBOT)}
+        return {i: f"{self.scene} {i}" for i in range(1, self.masks.n_instances + 1)}
+
+    def points(self, frame: Frame, label: int, n: int) -> np.ndarray:
+        """Up to n points of an object's visible surface, evenly over its pixels (m, 3), metres, world frame."""
+        import numpy as np
+
+        from bask_data.core.geometry import transform, unproject
+
+        depth = self.depth(frame)
+        v, u = np.nonzero((self.labels(frame) == label) & (depth > 0))
+        chosen = np.linspace(0, len(u) - 1, min(n, len(u))).round().astype(int)
+        u, v = u[chosen], v[chosen]
+        camera = unproject(np.stack([u, v], axis=1).astype(float), depth[v, u].astype(float), self.K(frame.camera))
+        return transform(self.world_from_camera(frame), camera)

@@ -1,0 +1,113 @@
+"""What a descriptor network has not seen: the scenes set aside, or else the frames that training kept aside."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from bask_data.artifact import MANIFEST
+from bask_data.dataset import Dataset
+from bask_data.errors import UsageError
+from bask_data.evaluation.frames import Frame, Frames
+from bask_data.kinds import Correspondences, DescriptorNet, Scan, VisibleMasks
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """What is measured on.
+
+    Args:
+        scenes: by name.
+        share: of each camera's frames, the last, that are looked at.
+        words: what that is, for people.
+    """
+
+    scenes: tuple[str, ...]
+    share: float
+    words: str
+
+    def frames(self, frames: Frames, most: int) -> list[Frame]:
+        """A scene's frames that are looked at, evenly over time, at most so many."""
+        import numpy as np
+
+        everything = []
+        for camera in frames.cameras:
+            n = frames.n_frames(camera)
+            first = n - round(self.share * n)
+            everything += [Frame(camera, i) for i in range(first, n)]
+        chosen = np.unique(np.linspace(0, len(everything) - 1, min(most, len(everything))).round().astype(int))
+        return [everything[i] for i in chosen]
+
+
+def held_out(dataset: Dataset, variants: Sequence[str], scenes: Sequence[str] = ()) -> HeldOut:
+    """What none of the variants was trained on, as far as the dataset says: scenes for the test, or for validation, or
+    else the frames kept from training.
+
+    Raises:
+        UsageError: a scene or a variant is asked for that is not there, or no scene can be measured.
+    """
+    _check_variants(dataset, variants)
+    splits, known = dataset.file.splits, dataset.items("scene")
+    for name in scenes:
+        if name not in known:
+            raise UsageError(dataset.root, "--scenes", expected=f"one of {', '.join(known) or 'no scenes'}", got=name)
+    learned = learned_scenes(dataset)
+    if scenes:
+        seen = [name for name in scenes if name in learned]
+        words = f"scenes asked for: {', '.join(scenes)}"
+        return _there(
+            dataset, HeldOut(tuple(scenes), 1.0, words + (f"; trained on: {', '.join(seen)}" if seen else ""))
+        )
+    for use, names in (("test", splits.test), ("validation", splits.validation)):
+        if names:
+            return _there(dataset, HeldOut(names, 1.0, f"held-out scenes ({use}): {', '.join(names)}"))
+    nets = [DescriptorNet(dataset.path(DescriptorNet, variant=name)) for name in variants]
+    # A frame is new to all variants where the one that kept the fewest did not see it.
+    share = min(float(net.manifest.params.get("held_out", 0.0)) for net in nets)
+    if share <= 0:
+        return _there(dataset, HeldOut(tuple(learned), 1.0, "frames that were trained on: nothing is held out"))
+    words = f"held-out frames: the last {share:.0%} of each camera's, of scenes that were trained on"
+    return _there(dataset, HeldOut(tuple(learned), share, words))
+
+
+def learned_scenes(dataset: Dataset) -> list[str]:
+    """The scenes that `train` learns from."""
+    splits = dataset.file.splits
+    aside = {*splits.validation, *splits.test}
+    return list(splits.train) or [name for name in dataset.items("scene") if name not in aside]
+
+
+def _check_variants(dataset: Dataset, variants: Sequence[str]) -> None:
+    known = [
+        name
+        for name in dataset.variants(DescriptorNet)
+        if (dataset.path(DescriptorNet, variant=name) / MANIFEST).exists()
+    ]
+    for name in variants:
+        if name not in known:
+            raise UsageError(
+                dataset.root,
+                "--variant",
+                expected=f"one of {', '.join(known) or 'none: no network is trained'}",
+                got=name,
+                fix=f"bask-data train {shlex.quote(str(dataset.root))} --variant {shlex.quote(name)}",
+            )
+
+
+def _there(dataset: Dataset, wanted: HeldOut) -> HeldOut:
+    """The same, if all of its scenes have what is read: exact truth, or else masks and matches."""
+    for name in wanted.scenes:
+        exact = Frames(dataset, name).truth is not None
+        for kind in (Scan,) if exact else (Scan, VisibleMasks, Correspondences):
+            if not (dataset.path(kind, name) / MANIFEST).exists():
+                raise UsageError(
+                    dataset.root,
+                    name,
+                    expected=f"a scene with {kind.kind}",
+                    got="none",
+                    fix=f"bask-data run {shlex.quote(str(dataset.root))}",
+                )
+    if not wanted.scenes:
+        raise UsageError(dataset.root, "splits", expected="a scene to measure on", got="none", fix="bask-data split")
+    return wanted

@@ -1,0 +1,267 @@
+"""Matches to hold descriptors against, spread over changes of scale, rotation and occlusion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from bask_data.dataset import Dataset
+from bask_data.evaluation.frames import Frame, Frames
+from bask_data.evaluation.held_out import HeldOut
+from bask_data.kinds import Correspondences
+from bask_data.progress import progress
+
+if TYPE_CHECKING:
+    import numpy as np
+
+N_QUERIES = 24
+"""Pixels of a frame that are looked for in others, shared out over its objects; matches taken of a pair."""
+MOST_FRAMES = 60
+"""Frames of a scene that are looked at."""
+LEAST_MATCHES = 6
+"""Pairs that share less are left out."""
+TOLERANCE = (0.005, 0.01)
+"""A point is seen where the depth is within a + b z metres of its own."""
+N_SURFACE = 3000
+"""Points of an object's surface taken from a frame, to tell what of it is hidden in others."""
+SCALES = (1.25, 1.75)
+ROTATIONS_DEG = (30.0, 60.0, 90.0)
+VISIBLE = (0.6, 0.9)
+"""Edges of the bins that matches are told apart by: change of scale, degrees of turn, visible share of the object."""
+BINS = {
+    "scale": ("<1.25", "1.25-1.75", ">=1.75"),
+    "rotation": ("0-30", "30-60", "60-90", ">=90"),
+    "occlusion": ("visible <60%", "visible 60-90%", "visible >=90%"),
+}
+
+
+@dataclass(frozen=True)
+class PairMatches:
+    """Matches from one frame to another.
+
+    Attributes:
+        is_random: the pair was drawn blindly, rather than to fill bins.
+        uv_a, uv_b: pixels of the images (m, 2).
+        label: object of each (m,).
+        points_b: what they show (m, 3), metres, frame of the second camera; NaN without depth.
+        scale: how much larger or smaller the second image shows it (m,), at least 1; NaN without depth.
+        rotation: how much the image turns there (m,), radians in [0, pi]; NaN without depth.
+        visible: share of the object that nothing hides in the second image (m,).
+    """
+
+    scene: str
+    a: Frame
+    b: Frame
+    is_random: bool
+    uv_a: np.ndarray
+    uv_b: np.ndarray
+    label: np.ndarray
+    points_b: np.ndarray
+    scale: np.ndarray
+    rotation: np.ndarray
+    visible: np.ndarray
+
+    def bins(self) -> dict[str, np.ndarray]:
+        """Number of the bin of each match by what it is told apart by (m,); -1 where that is not known."""
+        import numpy as np
+
+        values = {"scale": self.scale, "rotation": np.degrees(self.rotation), "occlusion": self.visible}
+        edges = {"scale": SCALES, "rotation": ROTATIONS_DEG, "occlusion": VISIBLE}
+        return {
+            name: np.where(np.isnan(value), -1, np.searchsorted(edges[name], value, side="right"))
+            for name, value in values.items()
+        }
+
+
+def scene_matches(dataset: Dataset, frames: Frames, held_out: HeldOut, n_pairs: int, seed: int) -> list[PairMatches]:
+    """Matches of at most so many pairs of frames: by exact depth where there is truth, else by the dataset's own.
+
+    Half of the pairs are drawn blindly from those that share enough; the others so that the emptiest bin is filled
+    next.
+    """
+    import numpy as np
+
+    from bask_data.core.descriptor_scores import filling
+
+    rng = np.random.default_rng([seed, *frames.scene.encode()])
+    chosen = held_out.frames(frames, MOST_FRAMES)
+    if frames.truth is not None:
+        candidates = _by_truth(frames, chosen, rng)
+    else:
+        candidates = _by_correspondences(dataset, frames, chosen, rng)
+    if not candidates:
+        return []
+    blind = rng.permutation(len(candidates))[: (n_pairs + 1) // 2].tolist()
+    counts = np.stack([_bin_counts(pair) for pair in candidates])
+    picked = filling(counts, blind, n_pairs, rng)
+    found = [_as(candidates[i], place < len(blind)) for place, i in enumerate(picked)]
+    # Frames come together, so that each is described once.
+    return sorted(found, key=lambda pair: (pair.b, pair.a))
+
+
+def _as(pair: PairMatches, is_random: bool) -> PairMatches:
+    return PairMatches(**{**vars(pair), "is_random": is_random})
+
+
+def _bin_counts(pair: PairMatches) -> np.ndarray:
+    """Number of matches in each bin of each kind, one after the other."""
+    import numpy as np
+
+    bins = pair.bins()
+    return np.concatenate([np.bincount(bins[name] + 1, minlength=len(BINS[name]) + 1)[1:] for name in BINS])
+
+
+# By truth -------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Queries:
+    """Pixels of one frame to look for elsewhere, and the surface they show.
+
+    Attributes:
+        points_world, tangents_world: (n, 3) and (n, 3, 2), as `core.local_warp.surface_tangents` has them.
+        magnification: (n,) heights of the image that a metre there is high.
+    """
+
+    uv: np.ndarray
+    label: np.ndarray
+    points_world: np.ndarray
+    tangents_world: np.ndarray
+    magnification: np.ndarray
+
+
+def _queries(frames: Frames, frame: Frame, uv: np.ndarray, label: np.ndarray) -> Queries:
+    from bask_data.core.geometry import transform
+    from bask_data.core.local_warp import surface_tangents
+
+    K, world = frames.K(frame.camera), frames.world_from_camera(frame)
+    points, tangents = surface_tangents(uv, frames.depth(frame), frames.labels(frame), K)
+    magnification = K[1, 1] / points[:, 2] / frames.size(frame.camera)[0]
+    return Queries(uv, label, transform(world, points), world[:3, :3] @ tangents, magnification)
+
+
+def _drawn(frames: Frames, frame: Frame, rng: np.random.Generator) -> Queries:
+    """Pixels of a frame's objects, as equally many of each as there are."""
+    import numpy as np
+
+    from bask_data.core.correspondences import shares
+
+    labels, depth = frames.labels(frame), frames.depth(frame)
+    pixels = {label: np.flatnonzero((labels == label) & (depth > 0)) for label in frames.objects}
+    taken = shares(np.array([len(one) for one in pixels.values()]), N_QUERIES)
+    drawn = [rng.choice(one, n, replace=False) for one, n in zip(pixels.values(), taken, strict=True)]
+    v, u = np.divmod(np.concatenate(drawn), labels.shape[1])
+    return _queries(frames, frame, np.stack([u, v], axis=1).astype(float), np.repeat(list(pixels), taken))
+
+
+def _by_truth(frames: Frames, chosen: list[Frame], rng: np.random.Generator) -> list[PairMatches]:
+    """All pairs of the frames that share enough, with the matches of each first frame's queries."""
+    queries = [_drawn(frames, frame, rng) for frame in chosen]
+    surface = _surfaces(frames, chosen)
+    found = []
+    for b in progress(chosen, f"finding true matches of {frames.scene}"):
+        visible = _visible_shares(frames, b, surface)
+        for a, one in zip(chosen, queries, strict=True):
+            if a != b and len(one.uv):
+                pair = _seen(frames, a, b, one, visible)
+                if len(pair.label) >= LEAST_MATCHES:
+                    found.append(pair)
+    return found
+
+
+def _surfaces(frames: Frames, chosen: list[Frame]) -> dict[int, np.ndarray]:
+    """Points of each object's whole surface, as far as the frames show it (m, 3), world frame."""
+    import numpy as np
+
+    return {
+        label: np.concatenate([np.zeros((0, 3)), *(frames.points(frame, label, N_SURFACE) for frame in chosen)])
+        for label in frames.objects
+    }
+
+
+def _visible_shares(frames: Frames, frame: Frame, surface: dict[int, np.ndarray]) -> np.ndarray:
+    """By label (256,): share of the object that nothing hides in a frame."""
+    import numpy as np
+
+    from bask_data.core.local_warp import visible_share
+
+    depth, labels = frames.depth(frame), frames.labels(frame)
+    camera = frames.K(frame.camera), frames.world_from_camera(frame)
+    result = np.full(256, np.nan)
+    for label, points in surface.items():
+        if (labels == label).any():
+            result[label] = visible_share(points, label, depth, labels, *camera)
+    return result
+
+
+def _seen(frames: Frames, a: Frame, b: Frame, queries: Queries, visible: np.ndarray) -> PairMatches:
+    """The matches of a frame's queries that another frame really shows."""
+    import numpy as np
+
+    from bask_data.core import scores
+
+    pair = _projected(frames, a, b, queries, visible)
+    depth, labels, z = frames.depth(b), frames.labels(b), pair.points_b[:, 2]
+    off = np.abs(scores.true_depth(depth, labels, pair.uv_b) - z)
+    seen = (scores.label_at(labels, pair.uv_b) == pair.label) & (off <= TOLERANCE[0] + TOLERANCE[1] * z)
+    return _some(pair, seen)
+
+
+def _projected(frames: Frames, a: Frame, b: Frame, queries: Queries, visible: np.ndarray) -> PairMatches:
+    """Where the queries of a frame lie in another, seen there or not."""
+    import numpy as np
+
+    from bask_data.core.geometry import invert_rigid, project, transform
+    from bask_data.core.local_warp import image_warp, turn_of
+
+    K, b_from_world = frames.K(b.camera), invert_rigid(frames.world_from_camera(b))
+    points_b = transform(b_from_world, queries.points_world)
+    uv_b, z = project(points_b, K)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        larger = K[1, 1] / z / frames.size(b.camera)[0] / queries.magnification
+        scale = np.maximum(larger, 1 / larger)
+        rotation = turn_of(image_warp(points_b, b_from_world[:3, :3] @ queries.tangents_world, K))
+    return PairMatches(
+        frames.scene, a, b, False, queries.uv, uv_b, queries.label, points_b, scale, rotation, visible[queries.label]
+    )
+
+
+def _some(pair: PairMatches, which: np.ndarray) -> PairMatches:
+    names = ("uv_a", "uv_b", "label", "points_b", "scale", "rotation", "visible")
+    return PairMatches(**{**vars(pair), **{name: getattr(pair, name)[which] for name in names}})
+
+
+# By the dataset's own matches -----------------------------------------------------------------------------------------
+
+
+def _by_correspondences(
+    dataset: Dataset, frames: Frames, chosen: list[Frame], rng: np.random.Generator
+) -> list[PairMatches]:
+    """The dataset's pairs among the frames, with some of their matches.
+
+    Scale and rotation are by the measured depth of the first frame, the point by that of the second.
+    """
+    import numpy as np
+
+    from bask_data.core.geometry import unproject
+    from bask_data.core.scores import true_depth
+
+    stored = Correspondences(dataset.path(Correspondences, frames.scene))
+    matches, wanted, found, end = stored.matches(), set(chosen), [], 0
+    column = {name: matches[name].to_numpy() for name in matches.column_names}
+    fractions = {name: frames.masks.camera(name).visible_fraction for name in frames.cameras}
+    for row in progress(stored.pairs().to_pylist(), f"reading matches of {frames.scene}"):
+        first, end = end, end + row["n_matches"]
+        a, b = Frame(row["camera_a"], row["frame_a"]), Frame(row["camera_b"], row["frame_b"])
+        if a not in wanted or b not in wanted or end - first < LEAST_MATCHES:
+            continue
+        rows = np.sort(rng.permutation(np.arange(first, end))[:N_QUERIES])
+        uv_a, uv_b = (np.stack([column[f"u_{x}"][rows], column[f"v_{x}"][rows]], axis=1).astype(float) for x in "ab")
+        label = column["instance"][rows].astype(np.int64)
+        visible = np.full(256, np.nan)
+        visible[1 : 1 + frames.masks.n_instances] = fractions[b.camera][b.i]
+        pair = _projected(frames, a, b, _queries(frames, a, uv_a, label), visible)
+        z = true_depth(frames.depth(b), frames.labels(b), uv_b)
+        points_b = unproject(uv_b, np.where(z > 0, z, np.nan), frames.K(b.camera))
+        found.append(PairMatches(**{**vars(pair), "uv_b": uv_b, "points_b": points_b}))
+    return found

@@ -1,0 +1,52 @@
+"""What `evaluate descriptor` shows a person: variants side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+COLUMNS: dict[str, tuple[str, float, str]] = {
+    "n": ("n", 1, "d"),
+    "median_px": ("px", 1, ".1f"),
+    "pck_1": ("PCK@1", 100, ".1f"),
+    "pck_2": ("@2", 100, ".1f"),
+    "pck_4": ("@4", 100, ".1f"),
+    "pck_8": ("@8 %", 100, ".1f"),
+    "median_3d_m": ("mm", 1000, ".1f"),
+    "closer_mean": ("closer %", 100, ".2f"),
+    "false_positive_px": ("false px", 1, ".1f"),
+}
+"""Figures of a row: their heads, and how they are written."""
+
+
+def descriptor_tables(found: dict[str, Any]) -> Iterator[str]:
+    """Lines: what was measured on, a table of all that is told apart, a row a variant, and how true the heat maps are.
+
+    Args:
+        found: of `evaluated_descriptor`.
+    """
+    yield f"measured on {found['measured_on']}; {found['n_pairs']} pairs of frames"
+    for scene, source in found["matches_by"].items():
+        yield f"  {scene}: matches by {source}"
+    variants = found["variants"]
+    yield from _table({"all": {name: told["all"] for name, told in variants.items()}})
+    first = next(iter(variants.values()))
+    for what in (name for name in first if name.startswith("by_")):
+        yield what.replace("_", " ")
+        yield from _table({row: {name: told[what][row] for name, told in variants.items()} for row in first[what]})
+    for name, told in variants.items():
+        error = _written(told["calibration"]["ece"], 100, ".1f")
+        yield f"heat maps of {name}: what they promise and what is so differ by {error} % (ECE)"
+
+
+def _table(rows: dict[str, dict[str, dict[str, float | None]]]) -> Iterator[str]:
+    """A head, and for each row a line a variant."""
+    yield " " * 34 + "".join(f"{head:>9}" for head, _, _ in COLUMNS.values())
+    for row, variants in rows.items():
+        for place, (name, figures) in enumerate(variants.items()):
+            values = "".join(f"{_written(figures[key], factor, form):>9}" for key, (_, factor, form) in COLUMNS.items())
+            yield f"  {row if place == 0 else '':<20} {name:<11}" + values
+
+
+def _written(value: float | None, factor: float, form: str) -> str:
+    return "-" if value is None else format(value * factor, form)
