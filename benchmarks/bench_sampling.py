@@ -84,7 +84,7 @@ def plain_image(
     """An image and its labels, changed as ours are."""
     labels = warped_labels(instance, affine, SIZE)
     shown = labels > 0 if rng.random() < AUGMENT.background else covered(instance.shape, affine, SIZE)
-    ground = () if shown is None else (random_ground(SIZE, rgb, rng),)
+    ground = () if shown is None else (random_ground(SIZE, rgb, instance, rng),)
     return drawn(View(SIZE, (*ground, layer(rgb, affine, shown)), random_look(rgb, AUGMENT, rng))), labels
 
 

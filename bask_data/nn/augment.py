@@ -233,18 +233,24 @@ def random_look(rgb: UInt8[ndarray, "h w 3"], settings: AugmentSettings, rng: Ge
     )
 
 
-def random_ground(size: tuple[int, int], picture: UInt8[ndarray, "h w 3"], rng: Generator) -> Layer:
+def random_ground(
+    size: tuple[int, int], picture: UInt8[ndarray, "h w 3"], labels: UInt8[ndarray, "h w"], rng: Generator
+) -> Layer:
     """Something to paint over with: one colour, clouds, checks, or pieces of a picture; turned, and often grainy.
 
     Args:
-        picture: taken to pieces that change places, so that no object stays whole in it.
+        labels: instances in the picture. None of them is in a piece: what is painted over counts as background.
     """
     height, width = size
     style = rng.integers(4)
     if style == 0:
         ground = np.broadcast_to(rng.integers(0, 256, 3, dtype=np.uint8), (*size, 3))
     elif style == 3:
-        ground = _shuffled(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), rng)
+        ground = _pieced(
+            cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA),
+            cv2.resize(labels, (width, height), interpolation=cv2.INTER_NEAREST) > 0,
+            rng,
+        )
     else:
         coarse = rng.integers(0, 256, (*rng.integers(2, 12 if style == 1 else 40, 2), 3), dtype=np.uint8)
         interpolation = cv2.INTER_CUBIC if style == 1 else cv2.INTER_NEAREST
@@ -274,12 +280,21 @@ def grain_of(shape: tuple[int, ...], first: int) -> Float32[ndarray, "*shape"]:
     return np.take(grain(), np.arange(first, first + n), mode="wrap").reshape(shape)
 
 
-def _shuffled(picture: UInt8[ndarray, "h w 3"], rng: Generator) -> UInt8[ndarray, "h w 3"]:
-    """The picture cut into tiles that changed places; what is left over at its far edges stays."""
-    n = int(rng.integers(4, 9))
-    height, width = picture.shape[0] // n, picture.shape[1] // n
-    tiles = picture[: n * height, : n * width].reshape(n, height, n, width, 3).swapaxes(1, 2)
-    out = picture.copy()
-    tiles = rng.permutation(tiles.reshape(n * n, height, width, 3)).reshape(n, n, height, width, 3)
-    out[: n * height, : n * width] = tiles.swapaxes(1, 2).reshape(n * height, n * width, 3)
-    return out
+def _pieced(picture: UInt8[ndarray, "h w 3"], objects: Bool[ndarray, "h w"], rng: Generator) -> UInt8[ndarray, "h w 3"]:
+    """A picture of tiles of another that show no objects; grey if there are none."""
+    n = int(rng.integers(4, 13))
+    shape = picture.shape
+    height, width = -(-shape[0] // n), -(-shape[1] // n)
+    occupied = _tiles(objects, n, height, width).reshape(n * n, -1).any(axis=1)
+    tiles = _tiles(picture, n, height, width)[~occupied]
+    if len(tiles) == 0:
+        return np.full(shape, 128, np.uint8)
+    placed = tiles[rng.integers(len(tiles), size=n * n)].reshape(n, n, height, width, 3)
+    return placed.swapaxes(1, 2).reshape(n * height, n * width, 3)[: shape[0], : shape[1]]
+
+
+def _tiles(image: ndarray, n: int, height: int, width: int) -> ndarray:
+    """n x n tiles that cover an image, one after the other; the last ones overlap their neighbours."""
+    rows = np.minimum(np.arange(n) * height, image.shape[0] - height)
+    columns = np.minimum(np.arange(n) * width, image.shape[1] - width)
+    return np.stack([image[v : v + height, u : u + width] for v in rows for u in columns])

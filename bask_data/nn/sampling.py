@@ -172,6 +172,7 @@ class _Side:
     """One image of a pair on its way to a `View`."""
 
     rgb: UInt8[ndarray, "h w 3"]
+    instance: UInt8[ndarray, "h w"]
     out_from_in: Float[ndarray, "2 3"]
     uv: Float[ndarray, "m 2"]
     """The matches in the view."""
@@ -236,7 +237,7 @@ def _placed(
         window[random_window(size, uv_view[anchor], augment, rng)] = True
         labels[~window] = 0
         shown = window if shown is None else shown & window
-    return _Side(rgb, out_from_in, uv_view, labels, shown)
+    return _Side(rgb, instance, out_from_in, uv_view, labels, shown)
 
 
 def _composed(
@@ -302,7 +303,7 @@ def _view(side: _Side, augment: AugmentSettings, rng: Generator) -> View:
     """The view of an image: what it does not cover, or all but the objects, is painted over."""
     size = side.labels.shape
     shown = side.labels > 0 if rng.random() < augment.background else side.shown
-    ground = () if shown is None else (random_ground(size, side.rgb, rng),)
+    ground = () if shown is None else (random_ground(size, side.rgb, side.instance, rng),)
     pasted = () if side.pasted is None else (side.pasted,)
     layers = (*ground, layer(side.rgb, side.out_from_in, shown), *pasted)
     return View(size, layers, random_look(side.rgb, augment, rng))
@@ -326,18 +327,21 @@ def non_matches(
     n_foreground = round(share * n)
     if len(on) == 0 or len(off) == 0:
         n_foreground = n if len(on) else 0
-    foreground = np.broadcast_to(np.arange(n) < n_foreground, (m, n)).ravel()
-    # Both kinds are numbers of one list, on first: one draw with bounds of its own for each serves both.
+    foreground = np.tile(np.arange(n) < n_foreground, m)
+    # Both kinds are in one list, those on the instance first, so that one draw serves both.
     pool = np.concatenate([on, off]).astype(np.int32)
-    first, end = np.where(foreground, 0, len(on)), np.where(foreground, len(on), len(pool))
-    pixels, close = np.empty((m * n, 2), np.float32), np.arange(m * n)
+    first, length = np.where(foreground, 0, len(on)), np.where(foreground, len(on), len(off))
+    pixels, valid = np.empty((m * n, 2), np.float32), np.zeros(m * n, bool)
+    redrawn: slice | ndarray = slice(None)
+    at_match = np.repeat(uv, n, axis=0)
     for _ in range(REDRAWS):
-        flat = pool[rng.integers(first[close], end[close])]
-        pixels[close] = np.stack([flat % mask.shape[1], flat // mask.shape[1]], axis=-1)
-        offset = pixels[close] - uv[close // n]
-        close = close[np.square(offset).sum(axis=1) < sample.clearance**2]
-        if len(close) == 0:
+        spans = length[redrawn]
+        flat = pool[first[redrawn] + (rng.random(len(spans)) * spans).astype(np.int32)]
+        drawn = np.column_stack([flat % mask.shape[1], flat // mask.shape[1]]).astype(np.float32)
+        pixels[redrawn] = drawn
+        offset = drawn - at_match[redrawn]
+        valid[redrawn] = offset[:, 0] ** 2 + offset[:, 1] ** 2 >= sample.clearance**2
+        redrawn = np.flatnonzero(~valid)
+        if len(redrawn) == 0:
             break
-    valid = np.ones(m * n, bool)
-    valid[close] = False
     return pixels.reshape(m, n, 2), foreground.reshape(m, n), valid.reshape(m, n)
