@@ -29,7 +29,7 @@ from bask_data.formats import FORMATS, Format
 from bask_data.params import Params, first_fault
 from bask_data.pipeline import STAGES
 from bask_data.sim.options import SimOptions, TaskName
-from bask_data.stage import Config, Outcome, Stage, State, plan, run, state_of
+from bask_data.stage import Config, Outcome, Stage, State, follow, is_follower, plan, processes, run, state_of
 
 Root = Annotated[Path, typer.Argument(help="The dataset's directory.", metavar="ROOT")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
@@ -117,10 +117,16 @@ def _reporting(body: Callable[..., None]) -> Callable[..., None]:
 
 
 @app.callback(invoke_without_command=True)
-def _version(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+@_reporting
+def _version(
+    context: typer.Context, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
+) -> None:
     if version:
         print(f"bask-data {__version__}")
         raise typer.Exit
+    able = [stage.name for stage in STAGES if stage.together]
+    if processes() > 1 and context.invoked_subcommand not in able:
+        raise UsageError("torchrun", "command", expected=" or ".join(able), got=context.invoked_subcommand)
 
 
 # Options from models --------------------------------------------------------------------------------------------------
@@ -339,7 +345,8 @@ def _add_stage(stage: Stage) -> None:
                 fix=f"bask-data dvc {root}",
             )
         dataset = Dataset(root)
-        dataset.recover()
+        if not is_follower():
+            dataset.recover()
         variant = options.get("variant", "main")
         chosen = {
             name.removeprefix("variant_of_"): value
@@ -359,6 +366,10 @@ def _add_stage(stage: Stage) -> None:
             raise UsageError(
                 root, "", expected=f"a {stage.makes.scope}", got="none in the dataset", fix="bask-data ingest --help"
             )
+        if is_follower():
+            for task in tasks if not dry_run else []:
+                follow(task, force)
+            return
         outcomes = []
         with shown_progress(), _executor(options["jobs"], options["cluster"]) as executor:
             for outcome in run(tasks, executor=executor, force=force, dry_run=dry_run):

@@ -47,7 +47,7 @@ def show_error(error: BaskError) -> None:
 def shown_progress() -> Iterator[None]:
     """Show the progress of long loops: a bar on a terminal, else a line now and then."""
     listener = _Bar() if sys.stderr.isatty() else _Lines()
-    progress.listen(listener)
+    progress.listen(listener, lambda text: listener.print(f"  ...         {text}"))
     try:
         yield
     finally:
@@ -68,6 +68,10 @@ class _Lines:
         if now - self._said >= _SECONDS_BETWEEN_LINES:
             self._said = now
             say(f"  ...         {label} {done}{f'/{total}' if total else ''}{_left(now - self._begun, done, total)}")
+
+    def print(self, text: str) -> None:
+        """A line among those of the loop."""
+        say(text)
 
     def close(self) -> None:
         """Nothing is left on the screen."""
@@ -96,6 +100,13 @@ class _Bar:
         self._progress.update(self._task, completed=done, total=total)
         if done == total:
             self.close()
+
+    def print(self, text: str) -> None:
+        """A line above the bar."""
+        if self._progress is None:
+            say(text)
+        else:
+            self._progress.console.print(_ESCAPES.sub("", text), markup=False, highlight=False, soft_wrap=True)
 
     def close(self) -> None:
         """Clear the bar away, so that lines can be printed."""

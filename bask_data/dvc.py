@@ -46,7 +46,7 @@ def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[st
 def _gitignore(file: Path) -> str:
     """What is there, and the artifacts, which are DVC's. Git keeps the groups above them, so that a clone opens."""
     lines = file.read_text().splitlines() if file.exists() else []
-    wanted = ["/.scratch/", "/provenance/", "/report.html"]
+    wanted = ["/.scratch/", "/provenance/", "/runs/", "/report.html"]
     for kind in KINDS:
         below = "/*" if kind.has_variants and kind.scope != "dataset" else ""
         wanted.append(f"/{kind.kind}{below}/*/")

@@ -9,13 +9,23 @@ T = TypeVar("T")
 Listener = Callable[[str, int, int | None], None]
 """Called with (label, done, total); total is None when it is not known."""
 
+Hearer = Callable[[str], None]
+"""Called with a line for a person."""
+
 _listener: Listener | None = None
+_hearer: Hearer | None = None
 
 
-def listen(listener: Listener | None) -> None:
-    """Send the progress of this process to `listener`, or to nobody."""
-    global _listener
-    _listener = listener
+def listen(listener: Listener | None, hearer: Hearer | None = None) -> None:
+    """Send the progress of this process to `listener` and what it tells to `hearer`, or to nobody."""
+    global _listener, _hearer
+    _listener, _hearer = listener, hearer
+
+
+def tell(text: str) -> None:
+    """Tell what is worth knowing before a loop has ended."""
+    if _hearer is not None:
+        _hearer(text)
 
 
 def report(label: str, done: int, total: int | None) -> None:

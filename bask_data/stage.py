@@ -2,8 +2,8 @@
 
 A parameter annotated with a kind is an input: of the same item if the kind has the stage's scope, the dataset's one if
 the kind belongs to the dataset, and all items' if it is `list[Kind]`. `params` holds what changes the result, `out` is
-the empty directory to fill, `Splits` gives the dataset's splits. Exactly one stage makes a kind, so the graph needs no
-names.
+the empty directory to fill, `Splits` gives the dataset's splits; `log`, if it is asked for, is a directory outside the
+artifact for what differs from run to run. Exactly one stage makes a kind, so the graph needs no names.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from filelock import FileLock
+from filelock import FileLock, Timeout
 from pydantic import ValidationError
 
 from bask_data import __version__
@@ -53,10 +53,13 @@ __all__ = [
     "Stage",
     "State",
     "Task",
+    "follow",
     "in_order",
+    "is_follower",
     "key_parts",
     "make",
     "plan",
+    "processes",
     "progress",
     "record",
     "resolve",
@@ -64,6 +67,9 @@ __all__ = [
     "stage",
     "state_of",
 ]
+
+RUNS = "runs"
+"""Folder of a dataset where stages log what differs from run to run, as `provenance` tells who made what."""
 
 Config = dict[str, dict[str, Any]]
 """Parameters by section: the name of a stage, or `stage@name` for one item or variant."""
@@ -86,6 +92,7 @@ class Stage:
     makes: type[Artifact]
     version: int
     resumable: bool
+    together: bool
     params: type[Params]
     inputs: tuple[Input, ...]
     wants_splits: bool
@@ -104,19 +111,22 @@ def _load_stage(module: str, name: str) -> Stage:
     return getattr(importlib.import_module(module), name)
 
 
-def stage(*, makes: type[Artifact], version: int, resumable: bool = False) -> Callable[[Callable[..., None]], Stage]:
+def stage(
+    *, makes: type[Artifact], version: int, resumable: bool = False, together: bool = False
+) -> Callable[[Callable[..., None]], Stage]:
     """Declare a function as the stage that makes a kind.
 
     Args:
         version: raise it by hand when the results change; it is part of the skip key.
         resumable: after a kill, `out` still holds what the last attempt wrote with the same key.
+        together: several processes, started by torchrun, can make one artifact. All are called; the first writes.
     """
 
     def declare(function: Callable[..., None]) -> Stage:
         hints = typing.get_type_hints(function)
         inputs, params, wants_splits = [], Params, False
         for name, hint in hints.items():
-            if name in ("out", "return"):
+            if name in ("out", "log", "return"):
                 continue
             if hint is Splits:
                 wants_splits = True
@@ -132,6 +142,7 @@ def stage(*, makes: type[Artifact], version: int, resumable: bool = False) -> Ca
             makes=makes,
             version=version,
             resumable=resumable,
+            together=together,
             params=params,
             inputs=tuple(inputs),
             wants_splits=wants_splits,
@@ -427,9 +438,8 @@ def _with_notes(error: BaskError) -> str:
     return "\n".join([str(error), *getattr(error, "__notes__", [])])
 
 
-def _make(task: Task, begun: float, force: bool) -> Manifest:
-    parts = key_parts(task)
-    key = digest_of(parts)
+def _arguments(task: Task) -> dict[str, Any]:
+    """What a stage's function is called with, but for `out`."""
     arguments: dict[str, Any] = {}
     for given in task.stage.inputs:
         handles = [given.artifact(task.input_path(binding)) for binding in task.inputs[given.name]]
@@ -440,11 +450,20 @@ def _make(task: Task, begun: float, force: bool) -> Manifest:
     for name, hint in hints.items():
         if hint is Splits:
             arguments[name] = task.splits
+    if "params" in hints:
+        arguments["params"] = task.params
+    if "log" in hints:
+        arguments["log"] = task.root / RUNS / task.target.relative_to(task.root)
+    return arguments
+
+
+def _make(task: Task, begun: float, force: bool) -> Manifest:
+    parts = key_parts(task)
+    key = digest_of(parts)
+    arguments = _arguments(task)
     task.dataset.prepare(task.stage.makes, task.variant)
 
     def fill(scratch: Path) -> Manifest:
-        if "params" in hints:
-            arguments["params"] = task.params
         task.stage.function(**arguments, out=scratch)
         manifest = seal(
             scratch,
@@ -470,22 +489,50 @@ def _make(task: Task, begun: float, force: bool) -> Manifest:
     return manifest
 
 
+def _resumed(task: Task, key: str) -> Path:
+    """The scratch directory that a kill leaves in place."""
+    return task.root / SCRATCH / f"resume~{task.stage.makes.kind}~{task.variant}~{task.item}~{key[:32]}"
+
+
 def _fill_resumable(task: Task, key: str, fill: Callable[[Path], Manifest], force: bool) -> Manifest:
-    """Run with a scratch directory that a kill leaves in place, named by the key, for one process at a time."""
-    folder = task.root / SCRATCH
-    prefix = f"resume~{task.stage.makes.kind}~{task.variant}~{task.item}~"
+    """Run with a scratch directory named by the key, for one process at a time, or one group of them."""
+    scratch = _resumed(task, key)
+    folder, prefix = scratch.parent, scratch.name.removesuffix(key[:32])
     folder.mkdir(exist_ok=True)
-    with FileLock(folder / f"{prefix}.lock"):
-        if not force and state_of(task).status == "up to date":
-            # Another process made it while this one waited for the lock.
-            return read_manifest(task.target)
-        scratch = folder / f"{prefix}{key[:32]}"
-        scratch.mkdir(exist_ok=True)
-        manifest = fill(scratch)
-        for left in folder.glob(f"{prefix}*"):
-            if left.is_dir():
-                shutil.rmtree(left, ignore_errors=True)
+    try:
+        # The others of a group wait for its first, and not for long: it does not wait for another group.
+        with FileLock(folder / f"{prefix}.lock", timeout=-1 if processes() == 1 else 0):
+            if not force and state_of(task).status == "up to date":
+                # Another process made it while this one waited for the lock.
+                return read_manifest(task.target)
+            scratch.mkdir(exist_ok=True)
+            manifest = fill(scratch)
+            for left in folder.glob(f"{prefix}*"):
+                if left.is_dir():
+                    shutil.rmtree(left, ignore_errors=True)
+    except Timeout:
+        fix = "wait until that has ended."
+        raise UsageError(task.label, "", expected="nobody else to make it", got="another process", fix=fix) from None
     return manifest
+
+
+def processes() -> int:
+    """How many processes torchrun started to make one artifact together; 1 without it."""
+    return int(os.environ["WORLD_SIZE"]) if "TORCHELASTIC_RUN_ID" in os.environ else 1
+
+
+def is_follower() -> bool:
+    """Whether another of them is the one that publishes."""
+    return processes() > 1 and os.environ["RANK"] != "0"
+
+
+def follow(task: Task, force: bool) -> None:
+    """Take part in what the first of several processes makes; it alone locks, publishes and reports.
+
+    All of them decide by the same files whether there is anything to make, so they come to the same answer.
+    """
+    if force or state_of(task).status in ("missing", "stale"):
+        task.stage.function(**_arguments(task), out=_resumed(task, digest_of(key_parts(task))))
 
 
 def record(root: Path, target: Path, begun: float, key: str) -> None:

@@ -19,11 +19,15 @@ class DescriptorMetadata(Metadata):
 
     Args:
         validated_on: what the validation metrics were measured on, in words.
-        metrics: validation metrics by name.
+        metrics: loss terms and validation metrics of the published weights, by name.
+        step: optimiser steps after which the weights were as published.
+        chosen_by: the metric that was best then; null: they are the last.
     """
 
     validated_on: str
     metrics: dict[str, float]
+    step: int
+    chosen_by: str | None
 
 
 class DescriptorNet(Artifact):
@@ -32,6 +36,7 @@ class DescriptorNet(Artifact):
     kind = "descriptor"
     scope = "dataset"
     has_variants = True
+    schema_version = 2
     metadata_model = DescriptorMetadata
     tables = {
         "curve.parquet": TableSpec(
@@ -56,13 +61,53 @@ class DescriptorNet(Artifact):
         """The training curve as (step, name, value) rows."""
         return read_table(self, "curve.parquet")
 
+    def summary(self) -> list[str]:
+        """What it was validated on, which weights these are, and the curves of the loss and the metric."""
+        rows = self.curve().to_pylist()
+        metadata = self.metadata
+        n_steps = max((row["step"] for row in rows), default=0)
+        why = "the last" if metadata.chosen_by is None else f"best {metadata.chosen_by}"
+        lines = [f"validated on {metadata.validated_on}", f"weights of step {metadata.step} of {n_steps}: {why}"]
+        for name in ("loss", metadata.chosen_by):
+            points = [(row["step"], row["value"]) for row in rows if row["name"] == name]
+            if len(points) > 1:
+                lines += [f"{name} {metadata.metrics[name]:.4g}", *_drawn(points)]
+        return lines
+
     @staticmethod
-    def write(out: Path, *, validated_on: str, metrics: dict[str, float], curve: list[tuple[int, str, float]]) -> None:
+    def write(
+        out: Path,
+        *,
+        validated_on: str,
+        metrics: dict[str, float],
+        curve: list[tuple[int, str, float]],
+        step: int = 0,
+        chosen_by: str | None = None,
+    ) -> None:
         """Write metadata and curve; `weights.safetensors` and `model.json` are written beside them by the network."""
-        start(out, DescriptorNet, {"validated_on": validated_on, "metrics": metrics})
+        metadata = {"validated_on": validated_on, "metrics": metrics, "step": step, "chosen_by": chosen_by}
+        start(out, DescriptorNet, metadata)
         columns = {
             "step": [row[0] for row in curve],
             "name": [row[1] for row in curve],
             "value": [row[2] for row in curve],
         }
         write_table(out, DescriptorNet, "curve.parquet", columns)
+
+
+def _drawn(points: list[tuple[int, float]], width: int = 60, height: int = 6) -> list[str]:
+    """A curve in characters."""
+    import plotille  # type: ignore[import-untyped]
+
+    steps, values = zip(*points, strict=True)
+    figure = plotille.Figure()
+    figure.width, figure.height, figure.with_colors = width, height, False
+    figure.set_x_limits(0, max(steps))
+    low, high = min(values), max(values)
+    margin = 0.05 * (high - low) or 0.5
+    figure.set_y_limits(low - margin, high + margin)
+    figure.y_ticks_fkt = lambda value, _: f"{value:9.3g}"
+    figure.x_ticks_fkt = lambda value, _: f"{round(value)}"
+    figure.x_label, figure.y_label = "step", ""
+    figure.plot(steps, values)
+    return figure.show().splitlines()[1:]

@@ -2,6 +2,9 @@
 
 Distances are z = |a - b| / sqrt(D), the root mean square difference over the D dimensions, so that margins and
 temperatures mean the same for every D.
+
+Every loss is a mean over pairs of images, and what is logged are sums beside their counts: parts of a batch, computed
+one after the other or by several processes, add up to what the whole would have given.
 """
 
 from __future__ import annotations
@@ -28,22 +31,28 @@ class ContrastiveSettings:
     Args:
         form: `squared` hinges the squared distance, max(0, M - z^2), as the paper has it; `plain` squares the hinge of
             the distance, max(0, M - z)^2, as Dense Object Nets did before.
-        hard_negatives: divide the sum over non-matches by the number inside the margin instead of by all: it keeps its
-            weight while such non-matches get rare.
+        hard_negatives: non-matches on the object and off it have a mean each, over those of the whole pair that lie
+            inside the margin: they keep their weight while such non-matches get rare.
+        normalised: distances are divided by sqrt(D). Without, margins are of plain Euclidean distances.
     """
 
     margin_foreground: float = 0.25
     margin_background: float = 0.75
     form: Literal["squared", "plain"] = "squared"
     hard_negatives: bool = False
+    normalised: bool = True
 
 
 @dataclass(frozen=True)
 class Terms:
-    """A loss and what it is made of, for logging."""
+    """A loss and what it is made of.
+
+    Args:
+        logged: by name, a sum and the count it is divided by to give the term's mean; `loss` is among them.
+    """
 
     loss: Float[Tensor, ""]
-    logged: dict[str, Float[Tensor, ""]]
+    logged: dict[str, Float[Tensor, "2"]]
 
 
 def squared_distance(a: Float[Tensor, "*n d"], b: Float[Tensor, "*n d"]) -> Float[Tensor, "*n"]:
@@ -62,34 +71,38 @@ def contrastive(
     """Mean over matches of z^2, plus the mean over non-matches of the hinge.
 
     Each match carries its own mean over its non-matches, foreground and background together: their share is decided
-    where they are drawn, not here.
+    where they are drawn, not here. `hard_negatives` counts otherwise.
 
     Args:
         non_matches_b: descriptors of the second image that do not correspond to `matches_a`.
         foreground: non-matches on the sampled object, with the smaller margin.
         valid: non-matches that count.
 
-    Source: von Hartz et al. 2023, Eq. 1 (`squared`; the mean over matches is taken of both terms).
+    Source: von Hartz et al. 2023, Eq. 1 (`squared`; the mean over matches is taken of both terms); Florence et al.
+        2018, Sec. III (`plain` and `hard_negatives`).
     """
-    match = squared_distance(matches_a, matches_b).mean()
-    z_squared = squared_distance(matches_a[:, :, None].expand_as(non_matches_b), non_matches_b)
+    unit = 1 if settings.normalised else matches_a.shape[-1]
+    match = unit * squared_distance(matches_a, matches_b)
+    z_squared = unit * squared_distance(matches_a[:, :, None].expand_as(non_matches_b), non_matches_b)
     margin = torch.where(foreground, settings.margin_foreground, settings.margin_background)
     if settings.form == "squared":
         hinge = F.relu(margin - z_squared)
     else:
         hinge = F.relu(margin - (z_squared + TINY).sqrt()).square()
     hinge = hinge * valid
-    counted = (hinge > 0) if settings.hard_negatives else valid
-    non_match = (hinge.sum(dim=-1) / counted.sum(dim=-1).clamp(min=1)).mean()
-    inside = (hinge.detach() > 0) & valid
-    with torch.no_grad():
-        logged = {
-            "loss_match": match.detach(),
-            "loss_foreground": _mean_where(hinge, valid & foreground),
-            "loss_background": _mean_where(hinge, valid & ~foreground),
-            "share_inside_margin": inside.sum() / valid.sum().clamp(min=1),
-        }
-    return Terms(match + non_match, logged)
+    inside = hinge.detach() > 0
+    groups = {"foreground": valid & foreground, "background": valid & ~foreground}
+    if settings.hard_negatives:
+        hard = [(hinge * group).sum((1, 2)) / (inside & group).sum((1, 2)).clamp(min=1) for group in groups.values()]
+        non_match = hard[0] + hard[1]
+    else:
+        non_match = (hinge.sum(-1) / valid.sum(-1).clamp(min=1)).mean(-1)
+    loss = match.mean(-1) + non_match
+    logged = {"loss": _summed(loss), "loss_match": _summed(match)}
+    for name, group in groups.items():
+        logged[f"loss_{name}"] = _summed(hinge, group)
+        logged[f"share_inside_margin_{name}"] = _summed(inside, group)
+    return Terms(loss.mean(), logged)
 
 
 def heat_map_entropy(
@@ -98,7 +111,7 @@ def heat_map_entropy(
     uv: Float[Tensor, "b m 2"],
     alpha: float,
     refinement: int = 2,
-) -> Float[Tensor, ""]:
+) -> Float[Tensor, "b m"]:
     """Cross-entropy between the heat map softmax(-alpha z) of each query and where it truly is.
 
     This trains for exactly what keypoints are read from. The true position falls between grid points, so its
@@ -122,7 +135,7 @@ def heat_map_entropy(
     logits = -alpha / math.sqrt(dimension) * (z_squared.clamp(min=0.0) + dimension * TINY).sqrt()
     log_heat = F.log_softmax(logits, dim=-1)
     index, weight = bilinear_corners(uv, STRIDE / refinement, height, width)
-    return -(log_heat.gather(-1, index) * weight).sum(-1).mean()
+    return -(log_heat.gather(-1, index) * weight).sum(-1)
 
 
 def bilinear_corners(
@@ -162,11 +175,16 @@ def infonce(
     """
     forward = heat_map_entropy(matches_a, descriptors_b, uv_b, alpha)
     backward = heat_map_entropy(matches_b, descriptors_a, uv_a, alpha)
-    match = squared_distance(matches_a, matches_b).mean()
+    match = squared_distance(matches_a, matches_b)
     entropy = 0.5 * (forward + backward)
-    logged = {"loss_match": match.detach(), "loss_heat_map": entropy.detach()}
-    return Terms(entropy + match_weight * match, logged)
+    loss = entropy + match_weight * match
+    logged = {"loss": _summed(loss), "loss_match": _summed(match), "loss_heat_map": _summed(entropy)}
+    return Terms(loss.mean(), logged)
 
 
-def _mean_where(values: Float[Tensor, "*n"], chosen: Bool[Tensor, "*n"]) -> Float[Tensor, ""]:
-    return (values * chosen).sum() / chosen.sum().clamp(min=1)
+def _summed(values: Float[Tensor, "*n"] | Bool[Tensor, "*n"], chosen: Bool[Tensor, "*n"] | None = None) -> Tensor:
+    """The sum of what is chosen, and how many that is."""
+    with torch.no_grad():
+        # Doubles: a float stops counting in ones at 16 million, which a few large batches have of non-matches.
+        counted = torch.ones_like(values, dtype=torch.bool) if chosen is None else chosen
+        return torch.stack([(values * counted).sum(dtype=torch.float64), counted.sum(dtype=torch.float64)])

@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import shutil
+import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 import torch
-from jaxtyping import Float
-from numpy import ndarray
-from safetensors import safe_open
-from safetensors.torch import save_file
-from torch import Tensor
+from torch import Tensor, nn
 
-from bask_data.core.geometry import scale_pixels
 from bask_data.nn import loss as losses
 from bask_data.nn.augment import AugmentSettings
-from bask_data.nn.network import DescriptorNetwork, distance_maps
+from bask_data.nn.loading import Waited, ahead
+from bask_data.nn.network import DescriptorNetwork
+from bask_data.nn.processes import ALONE, Group
 from bask_data.nn.resnet import sampled
-from bask_data.nn.sampling import Batch, PairSource, SampleSettings, batch_of_step
+from bask_data.nn.sampling import Batch, PairSource, Plan, SampleSettings, batch_of_step, plan_of_step, rendered
+from bask_data.nn.state import CurveRow, Progress, copied, load_state, save_state
 
-PREFETCHED = 3
-"""Batches made ahead: enough to bridge a slow one, few enough to cost no memory."""
-
-STATE = "state.safetensors"
+SMALLER_IS_BETTER = ("validation_median_error_px",)
 
 
 @dataclass(frozen=True)
@@ -41,10 +32,16 @@ class TrainingSettings:
         loss: `contrastive` is the paper's; `infonce` the cross-entropy of heat maps, which learns faster.
         alpha: temperature of the heat maps that `infonce` trains; the one keypoints are read with.
         match_weight: weight of the matches' z^2 in `infonce`.
+        accumulate: parts that a batch is computed in, one after the other, their gradients summed: less memory.
         schedule: `step` multiplies the rate by `decay` every `decay_every` steps, `cosine` lets it fall to zero.
         warmup: steps over which the rate rises from zero.
         frozen_batch_norm: keep the statistics of pretrained weights, which small batches would spoil.
         precision: `auto` is bfloat16 where the hardware computes with it, else float32.
+        validate_every: steps between two validations; the last step is always validated.
+        best_by: metric of the validation that chooses the step whose weights are kept; None keeps the last.
+        patience: validations in a row that may bring nothing better before training ends early; None: any number.
+        log_every: steps between two rows of the curve.
+        save_seconds: time between two saved states, or 20 times as long as saving takes if that is more.
     """
 
     steps: int
@@ -53,6 +50,7 @@ class TrainingSettings:
     contrastive: losses.ContrastiveSettings = field(default_factory=losses.ContrastiveSettings)
     alpha: float = 4.0
     match_weight: float = 0.1
+    accumulate: int = 1
     learning_rate: float = 1e-4
     weight_decay: float = 1e-4
     schedule: Literal["step", "cosine"] = "step"
@@ -62,11 +60,29 @@ class TrainingSettings:
     frozen_batch_norm: bool = False
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     validate_every: int = 500
-    save_every: int = 100
+    best_by: str | None = "validation_pck_4"
+    patience: int | None = None
     log_every: int = 20
+    save_seconds: float = 30.0
 
 
-CurveRow = tuple[int, str, float]
+Validate = Callable[[DescriptorNetwork], dict[str, float]]
+Watch = Callable[[int, dict[str, float]], None]
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What came of a training.
+
+    Args:
+        curve: loss terms, rate and validation metrics by step.
+        step: steps after which the network had the weights it has; less than were done if it was better then.
+        n_steps: steps done; less than asked for if training ended early.
+    """
+
+    curve: list[CurveRow]
+    step: int
+    n_steps: int
 
 
 def train_network(
@@ -76,11 +92,13 @@ def train_network(
     augment: AugmentSettings,
     settings: TrainingSettings,
     *,
-    validate: Callable[[DescriptorNetwork], dict[str, float]] | None = None,
+    validate: Validate | None = None,
     state_folder: Path | None = None,
     steps: Callable[[range], Iterator[int]] = iter,
-) -> list[CurveRow]:
-    """Train in place and give the curve: loss terms, rate and validation metrics by step.
+    watch: Watch = lambda step, values: None,
+    group: Group = ALONE,
+) -> Trained:
+    """Train in place; of several processes the first has the weights that validated best, the others the last.
 
     Interrupted and called again with the same arguments and an untrained network, it goes on from the last saved state
     and ends with the same weights, to the bit on one machine and number of threads.
@@ -89,41 +107,157 @@ def train_network(
         state_folder: where the state is saved, and looked for at the start; `remove_state` takes it away when the
             result is safe.
         steps: wraps the range of steps, to show progress.
+        watch: told every row of the curve as it comes, and what depends on the machine: speed, and the share of the
+            time that was spent waiting for batches.
+
+    Raises:
+        FloatingPointError: the loss is no number any more.
+        TooManyProcesses: a batch holds fewer pairs.
     """
-    optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
-    network.channels_last()
-    file = None if state_folder is None else state_folder / STATE
-    first, curve = (0, []) if file is None or not file.exists() else load_state(file, network, optimiser)
-    summed: dict[str, Tensor] = {}
-    n_summed = 0
-    for step, batch in _batches(source, sample, augment, settings, steps(range(first, settings.steps))):
-        rate = learning_rate(step, settings)
-        for group in optimiser.param_groups:
-            group["lr"] = rate
-        terms = _loss(network, batch, settings)
-        optimiser.zero_grad(set_to_none=True)
-        terms.loss.backward()
-        optimiser.step()
-        # Sums stay on the device: reading a number there would make the CPU wait for it.
-        for name, value in {"loss": terms.loss.detach(), **terms.logged}.items():
-            summed[name] = summed.get(name, 0.0) + value
-        n_summed += 1
-        done = step + 1
-        if done % settings.log_every == 0 or done == settings.steps:
-            values = {name: float(value) / n_summed for name, value in summed.items()}
-            if not math.isfinite(values["loss"]):
-                raise FloatingPointError(f"loss is {values['loss']} at step {done}; a smaller learning rate may help")
-            curve += [(done, name, value) for name, value in values.items()]
-            curve.append((done, "learning_rate", rate))
-            summed, n_summed = {}, 0
-        if validate is not None and (done % settings.validate_every == 0 or done == settings.steps):
-            curve += [(done, name, value) for name, value in validate(network).items()]
-        # A state lies between two rows of the curve, or the sums would be part of it.
-        due = done % settings.save_every < settings.log_every
-        if file is not None and ((due and done % settings.log_every == 0) or done == settings.steps):
-            save_state(file, network, optimiser, done, curve)
+    run = _Run(network, sample, settings, group, state_folder)
+
+    # Images for a GPU are made there, out of a plan: a CPU would be too slow for it.
+    made_of = plan_of_step if network.device.type == "cuda" else batch_of_step
+
+    def make(step: int) -> list[Batch | Plan]:
+        return [made_of(source, settings.seed, step, sample, augment, examples) for examples in run.parts]
+
+    numbers = steps(range(run.progress.step, run.last_step))
+    for step, batches in ahead(make, numbers, settings.steps, run.clock.waited):
+        run.learn(step, batches)
+        validates = validate is not None and run.is_at(settings.validate_every)
+        if validates or run.is_at(settings.log_every):
+            run.round_off(validate if validates else None, watch)
+        if run.progress.step >= run.last_step:
+            break
+    if run.progress.best:
+        network.load_state_dict(run.progress.best)
     network.eval()
-    return curve
+    return Trained(run.progress.curve, run.progress.best_step or run.progress.step, run.progress.step)
+
+
+class _Run:
+    """A training under way."""
+
+    def __init__(
+        self,
+        network: DescriptorNetwork,
+        sample: SampleSettings,
+        settings: TrainingSettings,
+        group: Group,
+        folder: Path | None,
+    ) -> None:
+        self.network, self.settings, self.group, self.folder = network, settings, group, folder
+        self.parts = group.share_of(sample.n_pairs, settings.accumulate)
+        # The mean over a batch's pairs from means over parts; over processes, the mean is taken of what they give.
+        self.weights = [len(part) * group.size / sample.n_pairs for part in self.parts]
+        parameters = list(network.trainable_parameters())
+        self.optimiser = torch.optim.Adam(parameters, lr=settings.learning_rate, weight_decay=settings.weight_decay)
+        network.channels_last()
+        self.progress = Progress() if folder is None else load_state(folder, network, self.optimiser)
+        self.model = group.wrapped(network)
+        self.sums: dict[str, Tensor] = {}
+        self.clock = _Clock(2 * sample.n_pairs, self.progress.step)
+        self.saved, self.save_took = time.monotonic(), 0.0
+        self._set_modes()
+
+    def _set_modes(self) -> None:
+        self.network.train()
+        if self.settings.frozen_batch_norm:
+            for module in self.network.modules():
+                if isinstance(module, torch.nn.BatchNorm2d):
+                    module.eval()
+
+    @property
+    def last_step(self) -> int:
+        """Where training ends: here, if validation has not got better for long enough."""
+        if self.settings.patience is not None:
+            since = {step for step, name, _ in self.progress.curve if name == self.settings.best_by}
+            if sum(step > self.progress.best_step for step in since) >= self.settings.patience:
+                return self.progress.step
+        return self.settings.steps
+
+    def is_at(self, every: int) -> bool:
+        """Whether so many steps have passed again, or all."""
+        return self.progress.step % every == 0 or self.progress.step == self.settings.steps
+
+    def learn(self, step: int, batches: list[Batch | Plan]) -> None:
+        """One step of the optimiser."""
+        for of_optimiser in self.optimiser.param_groups:
+            of_optimiser["lr"] = learning_rate(step, self.settings)
+        self.optimiser.zero_grad(set_to_none=True)
+        for i, (batch, weight) in enumerate(zip(batches, self.weights, strict=True), start=1):
+            with self.group.sending(self.model, i == len(batches)):
+                terms = _terms(self.model, _on_device(batch, self.network.device), self.settings)
+                (terms.loss * weight).backward()
+            # Sums stay on the device: reading a number there would make the CPU wait for it.
+            for name, value in terms.logged.items():
+                self.sums[name] = self.sums[name] + value if name in self.sums else value
+        self.optimiser.step()
+        self.progress.step = step + 1
+
+    def round_off(self, validate: Validate | None, watch: Watch) -> None:
+        """Enter what happened since the last time into the curve, validate, keep the best, and save."""
+        values = self._means() | {"learning_rate": self.optimiser.param_groups[0]["lr"]}
+        step, speed = self.progress.step, self.clock.read(self.progress.step)
+        if not math.isfinite(values["loss"]):
+            raise FloatingPointError(f"loss is {values['loss']} at step {step}; a smaller learning rate may help")
+        if validate is not None:
+            values |= self.group.told(validate(self.network) if self.group.is_first else {})
+            self._set_modes()
+        self.progress.curve += [(step, name, value) for name, value in values.items()]
+        if best_step(self.progress.curve, self.settings.best_by) == step:
+            self.progress.best_step = step
+            self.progress.best = copied(self.network) if self.group.is_first else {}
+        watch(step, values | speed)
+        self._save()
+        self.clock.start(step)
+
+    def _means(self) -> dict[str, float]:
+        summed = self.group.summed(torch.stack(list(self.sums.values()))).tolist()
+        means = {name: value / max(count, 1) for name, (value, count) in zip(self.sums, summed, strict=True)}
+        self.sums = {}
+        return means
+
+    def _save(self) -> None:
+        """A state lies between two rows of the curve, or the sums would be part of it."""
+        # Of a large network a state takes seconds to write: that shall stay a small part of the whole.
+        due = time.monotonic() - self.saved >= max(self.settings.save_seconds, 20 * self.save_took)
+        if self.folder is not None and self.group.is_first and (due or self.progress.step >= self.last_step):
+            begun = time.monotonic()
+            save_state(self.folder, self.network, self.optimiser, self.progress)
+            self.saved = time.monotonic()
+            self.save_took = self.saved - begun
+
+
+class _Clock:
+    """How fast training is, and how long it waited for batches."""
+
+    def __init__(self, n_images: int, step: int) -> None:
+        self.n_images, self.waited = n_images, Waited()
+        self.start(step)
+
+    def start(self, step: int) -> None:
+        """Measure from here."""
+        self._step, self._begun, self._waited = step, time.perf_counter(), self.waited.seconds
+
+    def read(self, step: int) -> dict[str, float]:
+        """Since the start."""
+        seconds = time.perf_counter() - self._begun
+        n_images = self.n_images * (step - self._step)
+        found = {
+            "images_per_second": n_images / seconds,
+            "share_waited": (self.waited.seconds - self._waited) / seconds,
+        }
+        if torch.cuda.is_available():
+            found["gpu_memory_bytes"] = float(torch.cuda.max_memory_allocated())
+        return found
+
+
+def best_step(curve: list[CurveRow], metric: str | None) -> int:
+    """The step whose metric is best, the last of several; 0 if there is none."""
+    sign = -1 if metric in SMALLER_IS_BETTER else 1
+    return max(((sign * value, step) for step, name, value in curve if name == metric), default=(0.0, 0))[1]
 
 
 def learning_rate(step: int, settings: TrainingSettings) -> float:
@@ -145,131 +279,20 @@ def uses_bfloat16(precision: str, device: torch.device) -> bool:
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16") or capabilities.get("bf16"))
 
 
-def _loss(network: DescriptorNetwork, batch: Batch, settings: TrainingSettings) -> losses.Terms:
-    device = network.device
-    network.train()
-    if settings.frozen_batch_norm:
-        for module in network.modules():
-            if isinstance(module, torch.nn.BatchNorm2d):
-                module.eval()
-    rgb = torch.from_numpy(np.concatenate([batch.rgb_a, batch.rgb_b])).to(device, non_blocking=True)
-    with torch.autocast(device.type, torch.bfloat16, enabled=uses_bfloat16(settings.precision, device)):
-        cells = network(rgb)
+def _on_device(batch: Batch | Plan, device: torch.device) -> list[Tensor]:
+    """The fields of a batch as tensors, in order."""
+    there = rendered(batch, device) if isinstance(batch, Plan) else batch.on(device)
+    return [torch.as_tensor(getattr(there, field.name)) for field in fields(there)]
+
+
+def _terms(model: nn.Module, batch: list[Tensor], settings: TrainingSettings) -> losses.Terms:
+    rgb_a, rgb_b, uv_a, uv_b, others_b, foreground, valid = batch
+    with torch.autocast(rgb_a.device.type, torch.bfloat16, enabled=uses_bfloat16(settings.precision, rgb_a.device)):
+        cells = model(torch.cat([rgb_a, rgb_b]))
     # Distances are differences of close numbers: they and all that follows are in float32.
     cells_a, cells_b = cells.float().contiguous().chunk(2)
-    uv_a, uv_b = torch.from_numpy(batch.uv_a).to(device), torch.from_numpy(batch.uv_b).to(device)
     matches_a, matches_b = sampled(cells_a, uv_a), sampled(cells_b, uv_b)
     if settings.loss == "infonce":
         return losses.infonce(cells_a, cells_b, matches_a, matches_b, uv_a, uv_b, settings.alpha, settings.match_weight)
-    uv_other = torch.from_numpy(batch.non_matches_b).to(device)
-    others = sampled(cells_b, uv_other.flatten(1, 2)).unflatten(1, uv_other.shape[1:3])
-    foreground, valid = torch.from_numpy(batch.foreground).to(device), torch.from_numpy(batch.valid).to(device)
+    others = sampled(cells_b, others_b.flatten(1, 2)).unflatten(1, others_b.shape[1:3])
     return losses.contrastive(matches_a, matches_b, others, foreground, valid, settings.contrastive)
-
-
-def _batches(
-    source: PairSource,
-    sample: SampleSettings,
-    augment: AugmentSettings,
-    settings: TrainingSettings,
-    steps: Iterator[int],
-) -> Iterator[tuple[int, Batch]]:
-    """Batches in order, made by a thread ahead of their use: OpenCV and NumPy let go of the interpreter's lock."""
-    threads = 1 if torch.get_num_threads() < 4 else 4
-
-    def make(step: int) -> Batch:
-        return batch_of_step(source, settings.seed, step, sample, augment)
-
-    with ThreadPoolExecutor(threads, thread_name_prefix="batches") as pool:
-        waiting: dict[int, object] = {}
-        try:
-            for step in steps:
-                for ahead in range(step, min(step + PREFETCHED * threads, settings.steps)):
-                    if ahead not in waiting:
-                        waiting[ahead] = pool.submit(make, ahead)
-                yield step, waiting.pop(step).result()  # type: ignore[attr-defined]
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def save_state(
-    file: Path, network: DescriptorNetwork, optimiser: torch.optim.Adam, step: int, curve: list[CurveRow]
-) -> None:
-    """Write everything training goes on from; a kill leaves the state before or this one."""
-    tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
-    for i, state in optimiser.state_dict()["state"].items():
-        tensors |= {f"optimiser.{i}.{name}": value for name, value in state.items()}
-    written = file.with_suffix(".part")
-    contiguous = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
-    save_file(contiguous, written, metadata={"step": str(step), "curve": json.dumps(curve)})
-    with written.open("rb") as handle:
-        os.fsync(handle.fileno())
-    written.replace(file)
-
-
-def remove_state(folder: Path) -> None:
-    """Take away what `save_state` wrote."""
-    (folder / STATE).unlink(missing_ok=True)
-
-
-def remove_all_but_state(folder: Path) -> None:
-    """Take away what a killed training left half-written, other libraries' temporary files among it."""
-    for left in folder.iterdir():
-        if left.is_dir():
-            shutil.rmtree(left)
-        elif left.name != STATE:
-            left.unlink()
-
-
-def load_state(file: Path, network: DescriptorNetwork, optimiser: torch.optim.Adam) -> tuple[int, list[CurveRow]]:
-    """Take over a saved state; gives the number of steps done and the curve so far."""
-    with safe_open(file, framework="pt") as opened:
-        metadata = opened.metadata()
-        tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
-    network.load_state_dict(
-        {name.removeprefix("network."): value for name, value in tensors.items() if name.startswith("network.")}
-    )
-    state = optimiser.state_dict()
-    for name, value in tensors.items():
-        if name.startswith("optimiser."):
-            _, i, key = name.split(".")
-            state["state"].setdefault(int(i), {})[key] = value
-    optimiser.load_state_dict(state)
-    curve = [(int(step), str(name), float(value)) for step, name, value in json.loads(metadata["curve"])]
-    return int(metadata["step"]), curve
-
-
-@torch.inference_mode()
-def pixel_errors(
-    network: DescriptorNetwork, source: PairSource, i_pairs: list[int], n_matches: int
-) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
-    """How far the best match lies from the true one, in pixels of the second image and as a share of its diagonal.
-
-    Args:
-        n_matches: taken of each pair, evenly over its list.
-    """
-    pixels, shares = [], []
-    for i_pair in i_pairs:
-        pair = source.pair(i_pair)
-        chosen = np.unique(np.linspace(0, len(pair.instance) - 1, n_matches).round().astype(int))
-        queries = network.descriptors_at(pair.rgb_a, pair.uv_a[chosen])
-        distances = distance_maps(network.describe(pair.rgb_b), queries)
-        best = distances.flatten(1).argmin(dim=1).cpu().numpy()
-        size, map_size = pair.rgb_b.shape[:2], (distances.shape[1], distances.shape[2])
-        found = np.stack([best % map_size[1], best // map_size[1]], axis=-1).astype(np.float64)
-        error = np.linalg.norm(scale_pixels(found, map_size, size) - pair.uv_b[chosen], axis=1)
-        pixels.append(error)
-        shares.append(error / math.hypot(*size))
-    return np.concatenate(pixels), np.concatenate(shares)
-
-
-def validation_metrics(
-    network: DescriptorNetwork, source: PairSource, n_pairs: int = 16, n_matches: int = 64
-) -> dict[str, float]:
-    """Median pixel error, and the share of matches found within 1, 2, 4 and 8 % of the image's diagonal."""
-    i_pairs = np.unique(np.linspace(0, source.n_pairs - 1, n_pairs).round().astype(int)).tolist()
-    pixels, shares = pixel_errors(network, source, i_pairs, n_matches)
-    metrics = {"validation_median_error_px": float(np.median(pixels))}
-    for percent in (1, 2, 4, 8):
-        metrics[f"validation_pck_{percent}"] = float((shares <= percent / 100).mean())
-    return metrics

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -9,19 +11,16 @@ from pydantic import Field
 
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Correspondences, DescriptorNet, Scan, VisibleMasks
-from bask_data.stage import Params, Splits, progress, stage
+from bask_data.stage import Params, Splits, processes, progress, stage
+from bask_data.stages.pairs import ScanPairs, divided
+from bask_data.stages.runs import RunLog
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from bask_data.nn.augment import AugmentSettings
     from bask_data.nn.network import DescriptorNetwork
-    from bask_data.nn.sampling import Pair
-
-MATCHES_KEPT = 1000
-"""Matches of a pair held in memory; a step uses a tenth of them."""
-
-CACHE_BYTES = 1 << 30
-"""Memory for shrunk frames."""
+    from bask_data.nn.processes import Group
+    from bask_data.nn.sampling import SampleSettings
+    from bask_data.nn.training import TrainingSettings
 
 
 class TrainParams(Params):
@@ -50,8 +49,20 @@ class TrainParams(Params):
     hinge: Literal["squared", "plain"] = Field(
         "squared", description="contrastive: max(0, M - z^2), as in the paper, or max(0, M - z)^2."
     )
-    hard_negatives: bool = Field(False, description="contrastive: mean over the non-matches inside the margin only.")
-    pairs_per_step: int = Field(2, ge=1, description="Image pairs in a batch.")
+    hard_negatives: bool = Field(
+        False,
+        description="contrastive: means over the non-matches inside the margin only, on and off the object apart.",
+    )
+    normalised: bool = Field(
+        True, description="contrastive: distances are divided by sqrt(D), so that margins mean the same for every D."
+    )
+    pairs_per_step: int = Field(2, ge=1, description="Image pairs in a batch, of all processes together.")
+    accumulate: int = Field(
+        1,
+        ge=1,
+        description="Parts a process computes its pairs in, one after the other: less memory, the same gradient but "
+        "for batch statistics, which are each part's own.",
+    )
     matches: int = Field(128, ge=1, description="Matches of a pair.")
     non_matches: int = Field(150, ge=1, description="contrastive: non-matches of each match.")
     foreground_share: float | None = Field(
@@ -73,16 +84,36 @@ class TrainParams(Params):
     zoom: tuple[float, float] = Field(
         (0.7, 2.0), description="Smallest and largest magnification; 2 shows a crop of half the image."
     )
+    crop: Literal["resized", "padded"] = Field(
+        "resized",
+        description="resized: crops fill the frame, so that objects grow. padded: they keep their size, the rest of "
+        "the frame is painted over.",
+    )
     rotation_deg: float = Field(20.0, ge=0, le=180, description="Largest rotation of an image, degrees.")
     flip: float = Field(0.0, ge=0, le=1, description="Probability that a pair is mirrored.")
     background: float = Field(
         0.3, ge=0, le=1, description="Probability that everything off the objects is painted over."
+    )
+    composition: float = Field(
+        0.0, ge=0, le=1, description="Probability that another object is pasted over the images of a pair."
     )
     colour: float = Field(
         0.5, ge=0, description="Largest change of brightness, contrast and saturation, as a logarithm."
     )
     hue_deg: float = Field(11.0, ge=0, le=180, description="Largest turn of the colours, degrees.")
     noise: float = Field(6.0, ge=0, description="Largest standard deviation of pixel noise, grey levels.")
+    blur: float = Field(0.0, ge=0, description="Largest standard deviation of a blur, pixels.")
+    validations: int = Field(10, ge=1, description="How often it is validated, evenly over the steps.")
+    best_by: Literal["pck_1", "pck_2", "pck_4", "pck_8", "median_error_px", "none"] = Field(
+        "pck_4",
+        description="The weights that validated best are kept: by the share of matches found within 1, 2, 4 or 8 % of "
+        "the image's diagonal, or by the median error. none: the last.",
+    )
+    patience: int | None = Field(
+        None,
+        ge=1,
+        description="Validations in a row without a better one after which training ends. Default: it does not.",
+    )
     held_out: float = Field(
         0.15,
         ge=0,
@@ -94,7 +125,7 @@ class TrainParams(Params):
     )
 
 
-@stage(makes=DescriptorNet, version=1, resumable=True)
+@stage(makes=DescriptorNet, version=2, resumable=True, together=True)
 def train(
     scans: list[Scan],
     masks: list[VisibleMasks],
@@ -102,35 +133,104 @@ def train(
     splits: Splits,
     params: TrainParams,
     out: Path,
+    log: Path,
 ) -> None:
     """Train a Dense Object Net on the matches of all scans.
 
     It is validated on the scenes that `bask-data split` sets aside, or without any, on frames that are kept from
-    training. Interrupted, it goes on from the last saved step. A GPU is used where there is one.
+    training; the weights that did best there are published. Interrupted, it goes on from the last saved step. A GPU is
+    used where there is one, several by `torchrun --nproc-per-node N -m bask_data.cli train ROOT`. TensorBoard shows it
+    under way: `tensorboard --logdir ROOT/runs`.
     """
-    from bask_data.nn import training
-    from bask_data.nn.augment import AugmentSettings
-    from bask_data.nn.loss import ContrastiveSettings
-    from bask_data.nn.network import best_device
-    from bask_data.nn.sampling import SampleSettings
+    from bask_data.nn.processes import ALONE, TooManyProcesses, joined
 
     if not 0 < params.zoom[0] <= params.zoom[1]:
         raise UsageError("train", "zoom", expected="0 < smallest <= largest", got=f"{params.zoom[0]},{params.zoom[1]}")
-    training.remove_all_but_state(out)
+    try:
+        with joined() if processes() > 1 else nullcontext(ALONE) as group:
+            _train(
+                [ScanPairs(*inputs) for inputs in zip(scans, masks, correspondences, strict=True)],
+                splits,
+                params,
+                out,
+                log,
+                group,
+            )
+    except TooManyProcesses as error:
+        fix = "give torchrun a smaller --nproc-per-node."
+        raise UsageError("train", "torchrun", expected=error.expected, got=error.got, fix=fix) from error
+
+
+def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Path, log: Path, group: Group) -> None:
+    from bask_data.nn.network import best_device
+    from bask_data.nn.state import remove_all_but_state, remove_state, saved_step
+    from bask_data.nn.training import train_network
+    from bask_data.nn.validation import validation_metrics
+
+    if group.is_first:
+        remove_all_but_state(out)
     network = _network(params).to(best_device())
-    everything = [ScanPairs(*inputs) for inputs in zip(scans, masks, correspondences, strict=True)]
-    learned, held_out, validated_on = _divided(everything, splits, params.held_out)
+    learned, held_out, validated_on = divided(scans, splits, params.held_out)
     size = network.input_size(learned.image_size)
     learned.shrink_to((2 * size[0], 2 * size[1]))
-    settings = training.TrainingSettings(
+    settings = _settings(params)
+
+    def validate(network: DescriptorNetwork) -> dict[str, float]:
+        return validation_metrics(network, held_out) if held_out.n_pairs else {}
+
+    run_log = RunLog(log, saved_step(out), params.steps) if group.is_first else None
+    try:
+        trained = train_network(
+            network,
+            learned,
+            _sample(params, size),
+            _augment(params),
+            settings,
+            validate=validate,
+            state_folder=out,
+            steps=lambda numbers: progress(numbers, "training"),
+            watch=run_log or (lambda step, values: None),
+            group=group,
+        )
+    except FloatingPointError as error:
+        if group.is_first:
+            remove_state(out)
+        raise UsageError("train", "learning_rate", got=str(error), fix="try a smaller one.") from error
+    if run_log is None:
+        return
+    run_log.close(str(network.device), group.size)
+    network.save(out)
+    DescriptorNet.write(
+        out,
+        validated_on=validated_on,
+        metrics={
+            name: value for step, name, value in trained.curve if step == trained.step and name != "learning_rate"
+        },
+        curve=trained.curve,
+        step=trained.step,
+        chosen_by=settings.best_by if held_out.n_pairs else None,
+    )
+    remove_state(out)
+
+
+def _settings(params: TrainParams) -> TrainingSettings:
+    from bask_data.nn.loss import ContrastiveSettings
+    from bask_data.nn.training import TrainingSettings
+
+    return TrainingSettings(
         steps=params.steps,
         seed=params.seed,
         loss=params.loss,
         contrastive=ContrastiveSettings(
-            params.margin_foreground, params.margin_background, params.hinge, params.hard_negatives
+            params.margin_foreground,
+            params.margin_background,
+            params.hinge,
+            params.hard_negatives,
+            params.normalised,
         ),
         alpha=params.alpha,
         match_weight=params.match_weight,
+        accumulate=params.accumulate,
         learning_rate=params.learning_rate,
         weight_decay=params.weight_decay,
         schedule=params.schedule,
@@ -139,9 +239,16 @@ def train(
         warmup=params.warmup,
         frozen_batch_norm=params.frozen_batch_norm,
         precision=params.precision,
-        validate_every=max(params.steps // 5, 1),
+        validate_every=max(params.steps // params.validations, 1),
+        best_by=None if params.best_by == "none" else f"validation_{params.best_by}",
+        patience=params.patience,
     )
-    sample = SampleSettings(
+
+
+def _sample(params: TrainParams, size: tuple[int, int]) -> SampleSettings:
+    from bask_data.nn.sampling import SampleSettings
+
+    return SampleSettings(
         size=size,
         n_pairs=params.pairs_per_step,
         n_matches=params.matches,
@@ -149,39 +256,25 @@ def train(
         foreground_share="auto" if params.foreground_share is None else params.foreground_share,
         clearance=params.clearance,
     )
-    augment = AugmentSettings(
+
+
+def _augment(params: TrainParams) -> AugmentSettings:
+    from bask_data.nn.augment import AugmentSettings
+
+    return AugmentSettings(
         zoom=params.zoom,
-        rotation=params.rotation_deg * 3.141592653589793 / 180,
+        crop=params.crop,
+        rotation=math.radians(params.rotation_deg),
         flip=params.flip,
         background=params.background,
+        composition=params.composition,
         brightness=params.colour,
         contrast=params.colour,
         saturation=params.colour,
-        hue=params.hue_deg * 3.141592653589793 / 180,
+        hue=math.radians(params.hue_deg),
         noise=params.noise,
+        blur=params.blur,
     )
-
-    def validate(network: DescriptorNetwork) -> dict[str, float]:
-        return training.validation_metrics(network, held_out) if held_out.n_pairs else {}
-
-    try:
-        curve = training.train_network(
-            network,
-            learned,
-            sample,
-            augment,
-            settings,
-            validate=validate,
-            state_folder=out,
-            steps=lambda numbers: progress(numbers, "training"),
-        )
-    except FloatingPointError as error:
-        training.remove_state(out)
-        raise UsageError("train", "learning_rate", got=str(error), fix="try a smaller one.") from error
-    network.save(out)
-    last = {name: value for step, name, value in curve if step == params.steps and name != "learning_rate"}
-    DescriptorNet.write(out, validated_on=validated_on, metrics=last, curve=curve)
-    training.remove_state(out)
 
 
 def _network(params: TrainParams) -> DescriptorNetwork:
@@ -198,158 +291,3 @@ def _network(params: TrainParams) -> DescriptorNetwork:
     except ValueError as error:
         fix = "choose the --backbone the file was made for."
         raise BadData(file, "", expected=f"weights of a {params.backbone}", got=str(error), fix=fix) from error
-
-
-class ScanPairs:
-    """The pairs of one scan, frames read as they are needed."""
-
-    def __init__(self, scan: Scan, masks: VisibleMasks, correspondences: Correspondences) -> None:
-        self.name = scan.path.name
-        self.scan, self.masks = scan, masks
-        self.n_frames = {camera.name: camera.n_frames for camera in scan.cameras}
-        self.sizes = {camera.name: (camera.height, camera.width) for camera in scan.cameras}
-        self._cameras = {camera.name: camera for camera in scan.cameras}
-        self._masks = {name: masks.camera(name) for name in self._cameras}
-        self._read(correspondences)
-
-    def _read(self, correspondences: Correspondences) -> None:
-        import numpy as np
-
-        self.frames: list[tuple[str, int, str, int]] = []
-        self.matches: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-        pairs, matches = correspondences.pairs().to_pylist(), correspondences.matches()
-        columns = {name: matches[name].to_numpy() for name in matches.column_names}
-        for pair in pairs:
-            first, end = np.searchsorted(columns["pair"], [pair["pair"], pair["pair"] + 1])
-            if first == end:
-                continue
-            # Matches were drawn at random, so any part of them is a fair one; evenly spaced, it needs no chance.
-            rows = np.unique(np.linspace(first, end - 1, min(end - first, MATCHES_KEPT)).round().astype(int))
-            a = np.stack([columns["u_a"][rows], columns["v_a"][rows]], axis=-1)
-            b = np.stack([columns["u_b"][rows], columns["v_b"][rows]], axis=-1)
-            self.frames.append((pair["camera_a"], pair["frame_a"], pair["camera_b"], pair["frame_b"]))
-            self.matches.append((columns["instance"][rows].astype(np.uint8), a, b))
-        self.n_instances = len(np.unique(columns["instance"]))
-
-    def frame(self, camera: str, i_frame: int, limit: tuple[int, int] | None) -> tuple[np.ndarray, np.ndarray]:
-        """Colour and instances of a frame, shrunk to `limit` (height, width) or as they are."""
-        import cv2
-        import numpy as np
-
-        rgb, instance = self._cameras[camera].rgb(i_frame), self._masks[camera].instance(i_frame)
-        size = self.shrunk_size(camera, limit)
-        if size != rgb.shape[:2]:
-            rgb = cv2.resize(rgb, size[::-1], interpolation=cv2.INTER_AREA)
-            instance = cv2.resize(instance, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
-        return np.ascontiguousarray(rgb), np.ascontiguousarray(instance)
-
-    def shrunk_size(self, camera: str, limit: tuple[int, int] | None) -> tuple[int, int]:
-        """Size of a camera's frames at most as large as `limit` in height or width, the shape kept."""
-        height, width = self.sizes[camera]
-        factor = 1.0 if limit is None else min(max(limit[0] / height, limit[1] / width), 1.0)
-        return round(height * factor), round(width * factor)
-
-
-class Pairs:
-    """Some pairs of some scans: a `PairSource`."""
-
-    def __init__(self, chosen: list[tuple[ScanPairs, int]]) -> None:
-        import numpy as np
-
-        self._chosen = chosen
-        self.scans = np.unique([scan.name for scan, _ in chosen], return_inverse=True)[1]
-        self.n_instances = np.array([scan.n_instances for scan, _ in chosen], int)
-        self._limit: tuple[int, int] | None = None
-        self._frames: dict[tuple[str, str, int], tuple[np.ndarray, np.ndarray]] = {}
-        self._bytes = 0
-
-    @property
-    def n_pairs(self) -> int:
-        return len(self._chosen)
-
-    @property
-    def image_size(self) -> tuple[int, int]:
-        """(height, width) of the first image."""
-        scan, i = self._chosen[0]
-        return scan.sizes[scan.frames[i][0]]
-
-    def shrink_to(self, limit: tuple[int, int]) -> None:
-        """Give frames no larger than `limit`, and keep as many in memory as fit."""
-        self._limit = limit
-
-    def pair(self, i_pair: int) -> Pair:
-        """One pair, coordinates in the pixels of the shrunk images."""
-        from bask_data.core.geometry import scale_pixels
-        from bask_data.nn.sampling import Pair
-
-        scan, i = self._chosen[i_pair]
-        camera_a, frame_a, camera_b, frame_b = scan.frames[i]
-        instance, uv_a, uv_b = scan.matches[i]
-        rgb_a, instance_a = self._frame(scan, camera_a, frame_a)
-        rgb_b, instance_b = self._frame(scan, camera_b, frame_b)
-        return Pair(
-            rgb_a=rgb_a,
-            rgb_b=rgb_b,
-            instance_a=instance_a,
-            instance_b=instance_b,
-            instance=instance,
-            uv_a=scale_pixels(uv_a, scan.sizes[camera_a], rgb_a.shape[:2]).astype("float32"),
-            uv_b=scale_pixels(uv_b, scan.sizes[camera_b], rgb_b.shape[:2]).astype("float32"),
-        )
-
-    def _frame(self, scan: ScanPairs, camera: str, i_frame: int) -> tuple[np.ndarray, np.ndarray]:
-        key = (scan.name, camera, i_frame)
-        if key in self._frames:
-            return self._frames[key]
-        found = scan.frame(camera, i_frame, self._limit)
-        # What is full stays as it is: to drop frames for others that are as likely to be needed gains nothing.
-        if self._limit is not None and self._bytes < CACHE_BYTES:
-            self._frames[key] = found
-            self._bytes += sum(image.nbytes for image in found)
-        return found
-
-
-def _divided(everything: list[ScanPairs], splits: Splits, share: float) -> tuple[Pairs, Pairs, str]:
-    """Pairs to learn from, pairs to validate on, and what the latter are, in words."""
-    aside = {*splits.validation, *splits.test}
-    learning = [scan for scan in everything if (scan.name in splits.train if splits.train else scan.name not in aside)]
-    validating = [scan for scan in everything if scan.name in splits.validation]
-    if not learning:
-        raise UsageError("train", "splits", expected="a scene to train on", got="none", fix="see `bask-data split`.")
-    if validating:
-        learned, held_out = _all_pairs(learning), _all_pairs(validating)
-        names = ", ".join(scan.name for scan in validating)
-        words = f"held-out scenes: {names} ({len(held_out)} pairs)"
-    else:
-        learned, held_out, words = _split_by_frame(learning, share)
-    if not learned:
-        raise BadData(
-            learning[0].scan.path,
-            "correspondences",
-            expected="pairs with matches to train on",
-            got=f"none in {', '.join(scan.name for scan in learning)}",
-            fix="look at the rejections that `bask-data correspondences` counted, or lower --held-out.",
-        )
-    return Pairs(learned), Pairs(held_out), words
-
-
-def _all_pairs(scans: list[ScanPairs]) -> list[tuple[ScanPairs, int]]:
-    return [(scan, i) for scan in scans for i in range(len(scan.frames))]
-
-
-def _split_by_frame(
-    scans: list[ScanPairs], share: float
-) -> tuple[list[tuple[ScanPairs, int]], list[tuple[ScanPairs, int]], str]:
-    """The last frames of each camera are kept from training: neighbours in time look alike, so they go together."""
-    learned: list[tuple[ScanPairs, int]] = []
-    held_out: list[tuple[ScanPairs, int]] = []
-    n_held, n_all = 0, 0
-    for scan in scans:
-        kept = {name: n - round(share * n) for name, n in scan.n_frames.items()}
-        n_held += sum(n - kept[name] for name, n in scan.n_frames.items())
-        n_all += sum(scan.n_frames.values())
-        for i, (camera_a, frame_a, camera_b, frame_b) in enumerate(scan.frames):
-            is_known = frame_a < kept[camera_a] and frame_b < kept[camera_b]
-            (learned if is_known else held_out).append((scan, i))
-    words = f"held-out frames: the last {n_held} of {n_all} ({len(held_out)} pairs), of scenes that were trained on"
-    return learned, held_out, words if held_out else "nothing: no scene and no frame with matches was held out"

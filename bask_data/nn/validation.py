@@ -1,0 +1,50 @@
+"""How well a network finds matches it was not trained on."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy import ndarray
+
+from bask_data.core.geometry import scale_pixels
+from bask_data.nn.network import DescriptorNetwork, distance_maps
+from bask_data.nn.sampling import PairSource
+
+
+@torch.inference_mode()
+def pixel_errors(
+    network: DescriptorNetwork, source: PairSource, i_pairs: list[int], n_matches: int
+) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
+    """How far the best match lies from the true one, in pixels of the second image and as a share of its diagonal.
+
+    Args:
+        n_matches: taken of each pair, evenly over its list.
+    """
+    pixels, shares = [], []
+    for i_pair in i_pairs:
+        pair = source.pair(i_pair)
+        chosen = np.unique(np.linspace(0, len(pair.instance) - 1, n_matches).round().astype(int))
+        queries = network.descriptors_at(pair.rgb_a, pair.uv_a[chosen])
+        distances = distance_maps(network.describe(pair.rgb_b), queries)
+        best = distances.flatten(1).argmin(dim=1).cpu().numpy()
+        size, map_size = pair.rgb_b.shape[:2], (distances.shape[1], distances.shape[2])
+        found = np.stack([best % map_size[1], best // map_size[1]], axis=-1).astype(np.float64)
+        error = np.linalg.norm(scale_pixels(found, map_size, size) - pair.uv_b[chosen], axis=1)
+        pixels.append(error)
+        shares.append(error / math.hypot(*size))
+    return np.concatenate(pixels), np.concatenate(shares)
+
+
+def validation_metrics(
+    network: DescriptorNetwork, source: PairSource, n_pairs: int = 16, n_matches: int = 64
+) -> dict[str, float]:
+    """Median pixel error, and the share of matches found within 1, 2, 4 and 8 % of the image's diagonal."""
+    i_pairs = np.unique(np.linspace(0, source.n_pairs - 1, n_pairs).round().astype(int)).tolist()
+    pixels, shares = pixel_errors(network, source, i_pairs, n_matches)
+    metrics = {"validation_median_error_px": float(np.median(pixels))}
+    for percent in (1, 2, 4, 8):
+        metrics[f"validation_pck_{percent}"] = float((shares <= percent / 100).mean())
+    return metrics

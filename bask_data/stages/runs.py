@@ -1,0 +1,63 @@
+"""What a training tells while it runs, and what it cost: outside the artifact, because it depends on the machine."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import statistics
+from pathlib import Path
+
+from bask_data.artifact import write_json_atomically
+from bask_data.progress import tell
+
+SPEED = ("images_per_second", "share_waited", "gpu_memory_bytes")
+
+
+class RunLog:
+    """TensorBoard files of a training, and `run.json`: how fast it was, and on what.
+
+    Args:
+        step: that it goes on from; what was logged of later ones, before it was interrupted, does not count.
+        n_steps: that are to be done.
+    """
+
+    def __init__(self, folder: Path, step: int, n_steps: int) -> None:
+        from tensorboardX import SummaryWriter  # type: ignore[import-untyped]
+
+        if step == 0:
+            shutil.rmtree(folder, ignore_errors=True)
+        self._folder, self._n_steps = folder, n_steps
+        self._writer = SummaryWriter(str(folder), purge_step=step + 1)
+        self._speed: dict[str, list[float]] = {}
+
+    def __call__(self, step: int, values: dict[str, float]) -> None:
+        """Log what is known of a step."""
+        for name, value in values.items():
+            self._writer.add_scalar(_tag(name), value, step)
+            if name in SPEED:
+                self._speed.setdefault(name, []).append(value)
+        validated = {name: value for name, value in values.items() if name.startswith("validation_")}
+        if validated:
+            self._writer.flush()
+            shown = {"loss": values["loss"], **validated}
+            tell(f"step {step}/{self._n_steps}: " + ", ".join(f"{name} {value:.3g}" for name, value in shown.items()))
+
+    def close(self, device: str, n_processes: int) -> None:
+        """Write what it cost since it was begun or resumed."""
+        self._writer.close()
+        median = {name: statistics.median(values) for name, values in self._speed.items()}
+        machine = {"device": _device(device), "processes": n_processes}
+        write_json_atomically(self._folder / "run.json", machine | median)
+
+
+def _tag(name: str) -> str:
+    """TensorBoard draws what stands before the slash together."""
+    if name.startswith("validation_"):
+        return "validation/" + name.removeprefix("validation_")
+    return f"speed/{name}" if name in SPEED else f"train/{name}"
+
+
+def _device(device: str) -> str:
+    import torch
+
+    return torch.cuda.get_device_name() if device.startswith("cuda") else platform.processor() or platform.machine()
