@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
-from functools import partial
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -18,37 +17,9 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from bask_data.core.geometry import scale_intrinsics, scale_pixels
-from bask_data.nn.resnet import DEPTHS, STRIDE, DenseResNet, load_weights, read_weights, sampled, upsampled
-
-IMAGENET_MEAN = (0.485, 0.456, 0.406)
-IMAGENET_STD = (0.229, 0.224, 0.225)
-
-
-@dataclass(frozen=True)
-class Backbone:
-    """An encoder that images can be described with.
-
-    Args:
-        description: for a user who chooses.
-        build: the encoder for a number of outputs; the tensors by name of its weights, where they are at hand, tell
-            what the name of the backbone leaves open. An encoder takes normalised images to cells at stride 8, and what
-            comes after its features is called `head`.
-        frozen: only the head is trained, and the rest stays as it was given.
-    """
-
-    description: str
-    build: Callable[[int, Mapping[str, Tensor]], nn.Module]
-    frozen: bool = False
-
-
-def _resnet(depth: int, n_outputs: int, state: Mapping[str, Tensor]) -> nn.Module:
-    return DenseResNet(depth, n_outputs)
-
-
-BACKBONES = {
-    f"resnet{depth}": Backbone(f"dilated ResNet-{depth}, stride 8", partial(_resnet, depth)) for depth in DEPTHS
-}
-"""What a network can be built on, by the name that `model.json` gives it."""
+from bask_data.nn.backbones import BACKBONES, Triple, named
+from bask_data.nn.resnet import STRIDE, sampled, upsampled
+from bask_data.nn.weights import load_weights, read_weights
 
 
 @dataclass(frozen=True)
@@ -58,14 +29,14 @@ class NetworkSettings:
     Args:
         backbone: one of `BACKBONES`.
         height: pixels that images are resized to; the width follows from the image.
-        mean, std: of the colour channels in [0, 1], taken away and divided by.
+        mean, std: of the colour channels in [0, 1], taken away and divided by. Default: those of the published weights.
     """
 
     backbone: str
     descriptor_dim: int
     height: int
-    mean: tuple[float, float, float] = IMAGENET_MEAN
-    std: tuple[float, float, float] = IMAGENET_STD
+    mean: Triple | None = None
+    std: Triple | None = None
 
 
 class DescriptorNetwork(nn.Module):
@@ -80,10 +51,8 @@ class DescriptorNetwork(nn.Module):
 
     def __init__(self, settings: NetworkSettings, state: Mapping[str, Tensor] | None = None) -> None:
         super().__init__()
-        if settings.backbone not in BACKBONES:
-            raise ValueError(f"backbone: expected one of {', '.join(BACKBONES)}, got {settings.backbone}")
-        self.settings = settings
-        backbone = BACKBONES[settings.backbone]
+        backbone = named(settings.backbone)
+        self.settings = replace(settings, mean=settings.mean or backbone.mean, std=settings.std or backbone.std)
         self.encoder = backbone.build(settings.descriptor_dim, state or {})
         self._frozen = backbone.frozen
         if backbone.frozen:
@@ -186,20 +155,21 @@ def create(settings: NetworkSettings, seed: int, weights: Path | None = None) ->
 
     Args:
         weights: file of pretrained weights, .safetensors or torch's, in the names of the backbone's first publisher.
-            What the file lacks of the head keeps its random start.
+            Default: those that belong to the backbone, or random ones. What they lack of the head keeps its random
+            start.
 
     Raises:
-        ValueError: there is no such backbone, or the file is not of it.
+        ValueError: there is no such backbone, the file is not of it, or it is not to be had without a file.
     """
-    state = {} if weights is None else _read(weights)
+    backbone = named(settings.backbone)
+    if weights is None and backbone.weights is not None:
+        weights = backbone.weights()
+    state = {} if weights is None else backbone.renamed(read_weights(weights))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         network = DescriptorNetwork(settings, state)
-    if weights is None:
-        return network
-    missing = [name for name in load_weights(network.encoder, state).missing if not name.startswith("head.")]
-    if missing:
-        raise ValueError(f"{missing[0]}: expected all weights of a {settings.backbone}, got {len(missing)} missing")
+    if weights is not None:
+        load_weights(network.encoder, state, backbone.ignored)
     return network
 
 
@@ -250,10 +220,3 @@ def _resized(rgb: UInt8[ndarray, "h w 3"], size: tuple[int, int]) -> UInt8[ndarr
     # Area averaging keeps the image's edges where they are, as scale_pixels assumes, and does not alias.
     shrinking = size[0] < rgb.shape[0]
     return cv2.resize(rgb, (size[1], size[0]), interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR)
-
-
-def _read(file: Path) -> dict[str, Tensor]:
-    try:
-        return read_weights(file)
-    except Exception as error:  # torch and safetensors raise their own kinds for broken files.
-        raise ValueError(f"a file that is not read: {str(error)[:300]}") from error

@@ -5,10 +5,6 @@ torchvision itself is not needed. With its names, any file of ImageNet weights i
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
-
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
@@ -130,52 +126,6 @@ def sampled(descriptors: Float[Tensor, "b d h8 w8"], uv: Float[Tensor, "b m 2"])
     grid = (2.0 * cells / size - 1.0)[:, None]
     found = F.grid_sample(descriptors, grid, mode="bilinear", padding_mode="border", align_corners=False)
     return found[:, :, 0].transpose(1, 2)
-
-
-@dataclass(frozen=True)
-class Loaded:
-    """What became of a file of weights: names the network has and the file lacks, and the other way round."""
-
-    missing: tuple[str, ...]
-    unused: tuple[str, ...]
-
-
-def load_weights(network: nn.Module, state: Mapping[str, Tensor]) -> Loaded:
-    """Take over pretrained weights. The classifier `fc` is left out; `head` keeps its random start unless given.
-
-    Raises:
-        ValueError: a parameter has another shape, or none fits.
-    """
-    own = network.state_dict()
-    for name in sorted(own.keys() & state.keys()):
-        if own[name].shape != state[name].shape:
-            raise ValueError(f"{name}: expected shape {tuple(own[name].shape)}, got {tuple(state[name].shape)}")
-    fitting = {name: value for name, value in state.items() if name in own}
-    if not any(name.startswith(("conv1", "layer")) for name in fitting):
-        raise ValueError(f"expected names such as conv1.weight and layer1.0.conv1.weight, got {sorted(state)[:3]}")
-    network.load_state_dict({**own, **fitting})
-    # Counters of seen batches came late to torchvision's files, and nothing depends on them.
-    missing = [name for name in own if name not in state and not name.endswith("num_batches_tracked")]
-    unused = [name for name in state if name not in own and not name.startswith("fc.")]
-    return Loaded(tuple(missing), tuple(unused))
-
-
-def read_weights(file: Path) -> dict[str, Tensor]:
-    """Tensors by name from a `.safetensors` file, or a torch file, of which no code is run.
-
-    Raises:
-        ValueError: the file holds something else than tensors by name.
-    """
-    if file.suffix == ".safetensors":
-        from safetensors.torch import load_file
-
-        return load_file(file)
-    content = torch.load(file, map_location="cpu", weights_only=True)
-    if isinstance(content, dict) and isinstance(content.get("state_dict"), dict):
-        content = content["state_dict"]
-    if not isinstance(content, dict) or not all(isinstance(value, Tensor) for value in content.values()):
-        raise ValueError("expected tensors by name, as torch.save(network.state_dict(), ...) writes them")
-    return dict(content)
 
 
 def _conv3x3(n_in: int, n_out: int, stride: int, dilation: int) -> nn.Conv2d:

