@@ -722,6 +722,20 @@ def evaluate_descriptor(
         str, typer.Option(help="Scenes to measure on. [default: what was held out of training]", metavar="NAMES")
     ] = "",
     pairs: Annotated[int, typer.Option(min=1, help="Most pairs of frames, of each scene.")] = 100,
+    sweep: Annotated[
+        bool, typer.Option("--sweep/--no-sweep", help="Zoom and turn some of the views by given amounts, too.")
+    ] = True,
+    keypoints: Annotated[
+        int, typer.Option(min=0, help="Keypoints picked in a view trained on, to look for in others; 0 is none.")
+    ] = 16,
+    against: Annotated[
+        list[str],
+        typer.Option(
+            help="A further dataset whose truth names the same objects, to look for the keypoints in: other instances, "
+            "other surroundings. May be repeated.",
+            metavar="NAME=ROOT",
+        ),
+    ] = [],  # noqa: B006  # Typer copies it.
     alpha: Annotated[
         float, typer.Option(min=0, help="Temperature of the heat maps whose truthfulness is measured.")
     ] = 4.0,
@@ -738,12 +752,31 @@ def evaluate_descriptor(
 
     with shown_progress():
         found = evaluated_descriptor(
-            Dataset(root), _names(variant), scenes=_names(scenes), pairs=pairs, alpha=alpha, seed=seed
+            Dataset(root),
+            _names(variant),
+            scenes=_names(scenes),
+            pairs=pairs,
+            sweep=sweep,
+            keypoints=keypoints,
+            against=_named_datasets(against),
+            alpha=alpha,
+            seed=seed,
         )
     for line in descriptor_tables(found):
         say(line)
     if json_:
         print(json.dumps({"command": "evaluate descriptor", **found}, indent=2))
+
+
+def _named_datasets(given: Sequence[str]) -> dict[str, Dataset]:
+    """Of NAME=ROOT."""
+    found = {}
+    for text in given:
+        name, is_pair, root = text.partition("=")
+        if not (name and is_pair and root):
+            raise UsageError("evaluate descriptor", "--against", expected="NAME=ROOT", got=text)
+        found[name] = Dataset(root)
+    return found
 
 
 def _show_figures(figures: dict[str, float | None]) -> None:

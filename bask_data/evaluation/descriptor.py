@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bask_data.dataset import Dataset
 from bask_data.errors import UsageError
-from bask_data.evaluation.frames import Frame, Frames
+from bask_data.evaluation.frames import Frames
 from bask_data.evaluation.held_out import held_out
-from bask_data.evaluation.matches import BINS, PairMatches, scene_matches
+from bask_data.evaluation.keypoints import keypoint_table
+from bask_data.evaluation.matches import BINS, PairMatches, alike_pairs, candidate_pairs, spread_pairs
+from bask_data.evaluation.search import ALPHA, RADIUS, Cells, found_matches
+from bask_data.evaluation.sweep import CONDITIONS, swept
 from bask_data.kinds import DescriptorNet
 from bask_data.progress import progress
 
 if TYPE_CHECKING:
     import numpy as np
-    import torch
 
     from bask_data.core.descriptor_scores import Records
     from bask_data.nn.network import DescriptorNetwork
 
-ALPHA = 4.0
-"""Temperature of heat maps; the one keypoints are read with by default."""
-RADIUS = 0.04
-"""Share of the image's diagonal within which a heat map's mass is its confidence, and a match is right."""
+PAIRS_SWEPT = 8
+"""One of so many pairs is zoomed and turned: each costs the network several further images."""
 
 
 def evaluated_descriptor(
@@ -33,6 +33,9 @@ def evaluated_descriptor(
     *,
     scenes: Sequence[str] = (),
     pairs: int = 100,
+    sweep: bool = False,
+    keypoints: int = 0,
+    against: Mapping[str, Dataset] | None = None,
     alpha: float = ALPHA,
     seed: int = 0,
 ) -> dict[str, Any]:
@@ -44,30 +47,41 @@ def evaluated_descriptor(
     Args:
         scenes: to measure on; by default what none of the variants was trained on.
         pairs: of frames, of each scene, at most.
+        sweep: zoom and turn some of the views, too: `by_zoom` and `by_turn`.
+        keypoints: number of those that are picked in a view trained on and looked for in others; 0 is none.
+        against: by name, datasets with the same objects, or others of these names, to look for the keypoints in.
         alpha: temperature of the heat maps whose truthfulness is measured.
 
     Raises:
         UsageError: a scene or a variant is not there, or nothing can be matched.
     """
     aside = held_out(dataset, variants, scenes)
+    networks = {name: _network(dataset, name) for name in variants}
     scores: dict[str, list[Scored]] = {name: [] for name in variants}
+    turned: dict[str, list[tuple[str, str, Records]]] = {name: [] for name in variants}
     sources = {}
     for scene in aside.scenes:
         frames = Frames(dataset, scene)
         sources[scene] = "exact depth and cameras" if frames.truth is not None else "correspondences"
-        matches = scene_matches(dataset, frames, aside, pairs, seed)
-        for name in variants:
-            network = _network(dataset, name)
-            scores[name] += measured(network, frames, matches, alpha, name)
+        candidates = candidate_pairs(dataset, frames, aside, seed)
+        spread = spread_pairs(candidates, pairs, seed)
+        alike = alike_pairs(candidates, max(pairs // PAIRS_SWEPT, 1), seed) if sweep else []
+        for name, network in networks.items():
+            scores[name] += _scored(network, frames, spread, alpha, name)
+            turned[name] += swept(network, frames, alike, alpha, name)
     if not any(scores.values()):
         raise UsageError(dataset.root, expected="frames that see the same objects", got=f"none in {aside.words}")
+    found = {name: _told(scored) | _told_conditions(turned[name]) for name, scored in scores.items()}
+    if keypoints:
+        table = keypoint_table(dataset, networks, aside, against or {}, keypoints, seed)
+        found = {name: told | {"keypoints": table[name]} for name, told in found.items()}
     return {
         "measured_on": aside.words,
         "matches_by": sources,
         "alpha": alpha,
         "radius_share": RADIUS,
         "n_pairs": len(scores[variants[0]]),
-        "variants": {name: _told(scored) for name, scored in scores.items()},
+        "variants": found,
     }
 
 
@@ -86,92 +100,14 @@ class Scored:
     records: Records
 
 
-def measured(
+def _scored(
     network: DescriptorNetwork, frames: Frames, matches: Sequence[PairMatches], alpha: float, name: str
 ) -> Iterator[Scored]:
     """Look for the matches of a scene's pairs; frames are described once each, at the network's stride."""
-    cells = _Cells(network, frames)
+    cells = Cells(network, frames)
     for pair in progress(matches, f"looking for matches of {frames.scene} with {name}"):
-        records = _records(network, cells, frames, pair, alpha)
-        yield Scored(pair, tuple(frames.objects[int(label)] for label in pair.label), records)
-
-
-class _Cells:
-    """Descriptors of frames at the network's stride, which is a small part of what all their pixels would be."""
-
-    def __init__(self, network: DescriptorNetwork, frames: Frames) -> None:
-        self._network, self._frames = network, frames
-        self._known: dict[Frame, torch.Tensor] = {}
-
-    def __getitem__(self, frame: Frame) -> torch.Tensor:
-        if frame not in self._known:
-            self._known[frame] = self._network.cells(self._frames.rgb(frame))
-        return self._known[frame]
-
-
-def _records(network: DescriptorNetwork, cells: _Cells, frames: Frames, pair: PairMatches, alpha: float) -> Records:
-    import numpy as np
-
-    from bask_data.core.descriptor_scores import Records
-
-    size_a, size_b = frames.size(pair.a.camera), frames.size(pair.b.camera)
-    diagonal = float(np.hypot(*size_b))
-    found = looked_for(network, (cells[pair.a], size_a, pair.uv_a), (cells[pair.b], size_b, pair.uv_b), alpha)
-    return Records(
-        error_px=found.error_px,
-        error_share=found.error_px / diagonal,
-        error_3d=_error_3d(frames, pair, found.best),
-        closer_share=found.closer_share,
-        false_positive_px=found.false_positive_px,
-        false_positive_share=found.false_positive_px / diagonal,
-        confidence=found.confidence,
-        is_near=found.error_px <= RADIUS * diagonal,
-    )
-
-
-View = tuple["torch.Tensor", tuple[int, int], "np.ndarray"]
-"""Cells of an image, its (height, width), and pixels of it."""
-
-
-def looked_for(network: DescriptorNetwork, a: View, b: View, alpha: float) -> Any:
-    """What distance maps of one image say of pixels of another: `core.descriptor_scores.MapScores`."""
-    import numpy as np
-
-    from bask_data.core.descriptor_scores import map_scores
-    from bask_data.nn.network import distance_maps
-    from bask_data.nn.resnet import upsampled
-
-    queries, truths = (described_at(network, *view) for view in (a, b))
-    cells, size, uv = b
-    maps = distance_maps(upsampled(cells[None], network.input_size(size))[0], queries).cpu().numpy()
-    at_truth = (queries - truths).square().sum(dim=1).sqrt().cpu().numpy() / np.sqrt(queries.shape[1])
-    return map_scores(maps, at_truth.astype(np.float64), uv, size, alpha, RADIUS * float(np.hypot(*size)))
-
-
-def described_at(
-    network: DescriptorNetwork, cells: torch.Tensor, size: tuple[int, int], uv: np.ndarray
-) -> torch.Tensor:
-    """Descriptors (n, d) at pixels of an image of this size, between the centres of its cells."""
-    import numpy as np
-    import torch
-
-    from bask_data.core.geometry import scale_pixels
-    from bask_data.nn.resnet import sampled
-
-    scaled = scale_pixels(uv.astype(np.float64), size, network.input_size(size)).astype(np.float32)
-    return sampled(cells[None], torch.from_numpy(scaled).to(cells.device)[None])[0]
-
-
-def _error_3d(frames: Frames, pair: PairMatches, best: np.ndarray) -> np.ndarray:
-    """Metres between the surface at the best matches and the true points; NaN without depth."""
-    import numpy as np
-
-    from bask_data.core.geometry import unproject
-    from bask_data.core.scores import true_depth
-
-    z = true_depth(frames.depth(pair.b), frames.labels(pair.b), best)
-    found = unproject(best, np.where(z > 0, z, np.nan), frames.K(pair.b.camera))
-    return np.linalg.norm(found - pair.points_b, axis=1)
+        objects = tuple(frames.objects[int(label)] for label in pair.label)
+        yield Scored(pair, objects, found_matches(network, cells, frames, pair, alpha))
 
 
 # Telling --------------------------------------------------------------------------------------------------------------
@@ -199,6 +135,18 @@ def _told(scored: Sequence[Scored]) -> dict[str, Any]:
         thresholds, below = cumulative(getattr(blind, name), limit)
         told["curves"][name] = {"threshold": thresholds.tolist(), "share": _plain(below)}
     told["calibration"] = _calibration(blind)
+    return told
+
+
+def _told_conditions(turned: Sequence[tuple[str, str, Records]]) -> dict[str, Any]:
+    """Figures by zoom and by turn, if there are any."""
+    from bask_data.core.descriptor_scores import Records, figures
+
+    told: dict[str, Any] = {}
+    for what, conditions in CONDITIONS.items() if turned else ():
+        told[f"by_{what}"] = {
+            name: figures(Records.joined([one for *key, one in turned if key == [what, name]])) for name in conditions
+        }
     return told
 
 

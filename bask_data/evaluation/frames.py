@@ -46,9 +46,19 @@ class Frames:
         """Cameras that can be measured: those of the truth, where it is known."""
         return [name for name in self._cameras if self.truth is None or name in self.truth.camera_names]
 
-    def n_frames(self, camera: str) -> int:
-        """Number of a camera's frames."""
-        return self._cameras[camera].n_frames
+    def between(self, begin: float, end: float, most: int) -> list[Frame]:
+        """Frames of all cameras between two shares of each one's time, evenly spaced, at most so many."""
+        import numpy as np
+
+        everything = []
+        for camera in self.cameras:
+            # Rounded as `train` rounds the share it keeps from training.
+            first, last = (
+                n - round((1.0 - share) * n) for n in [self._cameras[camera].n_frames] for share in (begin, end)
+            )
+            everything += [Frame(camera, i) for i in range(first, last)]
+        chosen = np.unique(np.linspace(0, len(everything) - 1, min(most, len(everything))).round().astype(int))
+        return [everything[i] for i in chosen]
 
     def size(self, camera: str) -> tuple[int, int]:
         """(height, width) of a camera's images."""

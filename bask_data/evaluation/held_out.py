@@ -29,15 +29,7 @@ class HeldOut:
 
     def frames(self, frames: Frames, most: int) -> list[Frame]:
         """A scene's frames that are looked at, evenly over time, at most so many."""
-        import numpy as np
-
-        everything = []
-        for camera in frames.cameras:
-            n = frames.n_frames(camera)
-            first = n - round(self.share * n)
-            everything += [Frame(camera, i) for i in range(first, n)]
-        chosen = np.unique(np.linspace(0, len(everything) - 1, min(most, len(everything))).round().astype(int))
-        return [everything[i] for i in chosen]
+        return frames.between(1.0 - self.share, 1.0, most)
 
 
 def held_out(dataset: Dataset, variants: Sequence[str], scenes: Sequence[str] = ()) -> HeldOut:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from bask_data.dataset import Dataset
@@ -61,6 +62,11 @@ class PairMatches:
     rotation: np.ndarray
     visible: np.ndarray
 
+    def some(self, which: np.ndarray) -> PairMatches:
+        """The same pair with some of its matches."""
+        names = ("uv_a", "uv_b", "label", "points_b", "scale", "rotation", "visible")
+        return replace(self, **{name: getattr(self, name)[which] for name in names})
+
     def bins(self) -> dict[str, np.ndarray]:
         """Number of the bin of each match by what it is told apart by (m,); -1 where that is not known."""
         import numpy as np
@@ -73,34 +79,47 @@ class PairMatches:
         }
 
 
-def scene_matches(dataset: Dataset, frames: Frames, held_out: HeldOut, n_pairs: int, seed: int) -> list[PairMatches]:
-    """Matches of at most so many pairs of frames: by exact depth where there is truth, else by the dataset's own.
-
-    Half of the pairs are drawn blindly from those that share enough; the others so that the emptiest bin is filled
-    next.
+def candidate_pairs(dataset: Dataset, frames: Frames, held_out: HeldOut, seed: int) -> list[PairMatches]:
+    """All pairs of a scene's held-out frames that share enough, with some matches of each: by exact depth where there
+    is truth, else those the dataset has.
     """
+    import numpy as np
+
+    rng = np.random.default_rng([seed, 0, *frames.scene.encode()])
+    chosen = held_out.frames(frames, MOST_FRAMES)
+    if frames.truth is not None:
+        return _by_truth(frames, chosen, rng)
+    return _by_correspondences(dataset, frames, chosen, rng)
+
+
+def spread_pairs(candidates: Sequence[PairMatches], n_pairs: int, seed: int) -> list[PairMatches]:
+    """At most so many pairs: half of them drawn blindly, the others so that the emptiest bin is filled next."""
     import numpy as np
 
     from bask_data.core.descriptor_scores import filling
 
-    rng = np.random.default_rng([seed, *frames.scene.encode()])
-    chosen = held_out.frames(frames, MOST_FRAMES)
-    if frames.truth is not None:
-        candidates = _by_truth(frames, chosen, rng)
-    else:
-        candidates = _by_correspondences(dataset, frames, chosen, rng)
     if not candidates:
         return []
+    rng = np.random.default_rng([seed, 1])
     blind = rng.permutation(len(candidates))[: (n_pairs + 1) // 2].tolist()
-    counts = np.stack([_bin_counts(pair) for pair in candidates])
-    picked = filling(counts, blind, n_pairs, rng)
-    found = [_as(candidates[i], place < len(blind)) for place, i in enumerate(picked)]
-    # Frames come together, so that each is described once.
+    picked = filling(np.stack([_bin_counts(pair) for pair in candidates]), blind, n_pairs, rng)
+    found = [replace(candidates[i], is_random=place < len(blind)) for place, i in enumerate(picked)]
+    # Frames come together, so that their depth and labels are read once.
     return sorted(found, key=lambda pair: (pair.b, pair.a))
 
 
-def _as(pair: PairMatches, is_random: bool) -> PairMatches:
-    return PairMatches(**{**vars(pair), "is_random": is_random})
+def alike_pairs(candidates: Sequence[PairMatches], n_pairs: int, seed: int) -> list[PairMatches]:
+    """At most so many pairs between which neither scale nor rotation changes much, with the matches for which this is
+    so."""
+    import numpy as np
+
+    found: list[PairMatches] = []
+    for i in np.random.default_rng([seed, 2]).permutation(len(candidates)):
+        bins = candidates[i].bins()
+        alike = (bins["scale"] == 0) & (bins["rotation"] == 0)
+        if len(found) < n_pairs and np.count_nonzero(alike) >= LEAST_MATCHES:
+            found.append(candidates[i].some(alike))
+    return found
 
 
 def _bin_counts(pair: PairMatches) -> np.ndarray:
@@ -204,7 +223,7 @@ def _seen(frames: Frames, a: Frame, b: Frame, queries: Queries, visible: np.ndar
     depth, labels, z = frames.depth(b), frames.labels(b), pair.points_b[:, 2]
     off = np.abs(scores.true_depth(depth, labels, pair.uv_b) - z)
     seen = (scores.label_at(labels, pair.uv_b) == pair.label) & (off <= TOLERANCE[0] + TOLERANCE[1] * z)
-    return _some(pair, seen)
+    return pair.some(seen)
 
 
 def _projected(frames: Frames, a: Frame, b: Frame, queries: Queries, visible: np.ndarray) -> PairMatches:
@@ -224,11 +243,6 @@ def _projected(frames: Frames, a: Frame, b: Frame, queries: Queries, visible: np
     return PairMatches(
         frames.scene, a, b, False, queries.uv, uv_b, queries.label, points_b, scale, rotation, visible[queries.label]
     )
-
-
-def _some(pair: PairMatches, which: np.ndarray) -> PairMatches:
-    names = ("uv_a", "uv_b", "label", "points_b", "scale", "rotation", "visible")
-    return PairMatches(**{**vars(pair), **{name: getattr(pair, name)[which] for name in names}})
 
 
 # By the dataset's own matches -----------------------------------------------------------------------------------------
@@ -263,5 +277,5 @@ def _by_correspondences(
         pair = _projected(frames, a, b, _queries(frames, a, uv_a, label), visible)
         z = true_depth(frames.depth(b), frames.labels(b), uv_b)
         points_b = unproject(uv_b, np.where(z > 0, z, np.nan), frames.K(b.camera))
-        found.append(PairMatches(**{**vars(pair), "uv_b": uv_b, "points_b": points_b}))
+        found.append(replace(pair, uv_b=uv_b, points_b=points_b))
     return found

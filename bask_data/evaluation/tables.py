@@ -34,9 +34,24 @@ def descriptor_tables(found: dict[str, Any]) -> Iterator[str]:
     for what in (name for name in first if name.startswith("by_")):
         yield what.replace("_", " ")
         yield from _table({row: {name: told[what][row] for name, told in variants.items()} for row in first[what]})
+    yield from _keypoint_table(variants)
     for name, told in variants.items():
         error = _written(told["calibration"]["ece"], 100, ".1f")
         yield f"heat maps of {name}: what they promise and what is so differ by {error} % (ECE)"
+
+
+def _keypoint_table(variants: dict[str, dict[str, Any]]) -> Iterator[str]:
+    """A line for each variant, set of objects and column: mean and deviation of the errors, and what was seen."""
+    rows = [
+        (name, objects, row) for name, told in variants.items() for objects, row in told.get("keypoints", {}).items()
+    ]
+    if rows:
+        yield "keypoints of one training view in others: error / image size, mean +- deviation (seen, hidden, outside)"
+    for name, objects, row in rows:
+        yield f"  {objects} {name}"
+        for column, told in row.items():
+            mean, std = (_written(told[key], 1, ".3f") for key in ("mean", "std"))
+            yield f"    {column:<28} {mean} +- {std}  ({told['seen']}, {told['hidden']}, {told['outside']})"
 
 
 def _table(rows: dict[str, dict[str, dict[str, float | None]]]) -> Iterator[str]:

@@ -1,0 +1,82 @@
+"""Scale and rotation by themselves: views that hardly differ, one of them zoomed or turned by so much exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from bask_data.evaluation.frames import Frames
+from bask_data.evaluation.matches import PairMatches
+from bask_data.evaluation.search import Cells, described, descriptors_at, looked_for, records_of
+from bask_data.progress import progress
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from bask_data.core.descriptor_scores import Records
+    from bask_data.nn.network import DescriptorNetwork
+
+ZOOMS = {"1/2": 0.5, "1": 1.0, "2": 2.0}
+TURNS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0)
+CONDITIONS = {
+    "zoom": {name: (zoom, 0.0) for name, zoom in ZOOMS.items()},
+    "turn": {f"{angle:g}": (1.0, angle) for angle in TURNS_DEG},
+}
+"""By what is told apart and by its name: how much larger the target is than the reference, and degrees it is turned."""
+
+
+def about(centre: np.ndarray, zoom: float, turn_deg: float) -> np.ndarray:
+    """The map of pixels (2, 3) that enlarges and turns an image about one of them, which stays where it is."""
+    import numpy as np
+
+    angle = np.radians(turn_deg)
+    linear = zoom * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return np.column_stack([linear, centre - linear @ centre]) if zoom != 1 or turn_deg else np.eye(2, 3)
+
+
+def moved_pixels(uv: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """Where pixels (n, 2) come to lie."""
+    return uv @ way[:, :2].T + way[:, 2]
+
+
+def moved(rgb: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """The image enlarged and turned, its edges drawn out where it has nothing to show."""
+    import cv2
+
+    return cv2.warpAffine(rgb, way, rgb.shape[1::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _stay(pair: PairMatches, frames: Frames, way_a: np.ndarray, way_b: np.ndarray) -> np.ndarray:
+    """Matches that are still in both images."""
+    from bask_data.core.geometry import in_image
+
+    in_a = in_image(moved_pixels(pair.uv_a, way_a), *frames.size(pair.a.camera))
+    return in_a & in_image(moved_pixels(pair.uv_b, way_b), *frames.size(pair.b.camera))
+
+
+def swept(
+    network: DescriptorNetwork, frames: Frames, pairs: Sequence[PairMatches], alpha: float, name: str
+) -> Iterator[tuple[str, str, Records]]:
+    """The records of each pair under each condition; the same matches under all, those that none leads out of the
+    image.
+
+    One half the size is a reference twice as large: no image has to be made up around a smaller one.
+    """
+    import numpy as np
+
+    cells = Cells(network, frames)
+    for pair in progress(pairs, f"zooming and turning views of {frames.scene} for {name}"):
+        rgb_a, rgb_b = frames.rgb(pair.a), frames.rgb(pair.b)
+        centre_a, centre_b = np.median(pair.uv_a, axis=0), np.median(pair.uv_b, axis=0)
+        ways = {
+            (what, condition): (about(centre_a, max(1 / zoom, 1.0), 0.0), about(centre_b, max(zoom, 1.0), turn))
+            for what, conditions in CONDITIONS.items()
+            for condition, (zoom, turn) in conditions.items()
+        }
+        kept = np.all([_stay(pair, frames, *way) for way in ways.values()], axis=0)
+        uv_a, uv_b = pair.uv_a[kept], pair.uv_b[kept]
+        for (what, condition), (way_a, way_b) in ways.items():
+            a = cells[pair.a] if np.array_equal(way_a, np.eye(2, 3)) else described(network, moved(rgb_a, way_a))
+            b = cells[pair.b] if np.array_equal(way_b, np.eye(2, 3)) else described(network, moved(rgb_b, way_b))
+            queries = descriptors_at(network, a, moved_pixels(uv_a, way_a))
+            yield what, condition, records_of(looked_for(network, queries, b, moved_pixels(uv_b, way_b), alpha), b.size)
