@@ -21,7 +21,8 @@ from bask_data.nn.resnet import sampled
 from bask_data.nn.sampling import Batch, PairSource, Plan, SampleSettings, batch_of_step, plan_of_step, rendered
 from bask_data.nn.state import CurveRow, Progress, copied, load_state, save_state
 
-SMALLER_IS_BETTER = ("validation_median_error_px",)
+MEDIAN = "validation_median_error_px"
+"""The one metric of a validation that is better when smaller."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class TrainingSettings:
         best_by: metric of the validation that chooses the step whose weights are kept; None keeps the last.
         patience: validations in a row that may bring nothing better before training ends early; None: any number.
         log_every: steps between two rows of the curve.
-        save_seconds: time between two saved states, or 20 times as long as saving takes if that is more.
+        save_share: largest part of the time that goes into saving states. Of a large network one takes seconds.
     """
 
     steps: int
@@ -63,7 +64,7 @@ class TrainingSettings:
     best_by: str | None = "validation_pck_4"
     patience: int | None = None
     log_every: int = 20
-    save_seconds: float = 30.0
+    save_share: float = 0.05
 
 
 Validate = Callable[[DescriptorNetwork], dict[str, float]]
@@ -221,8 +222,7 @@ class _Run:
 
     def _save(self) -> None:
         """A state lies between two rows of the curve, or the sums would be part of it."""
-        # Of a large network a state takes seconds to write: that shall stay a small part of the whole.
-        due = time.monotonic() - self.saved >= max(self.settings.save_seconds, 20 * self.save_took)
+        due = self.save_took <= self.settings.save_share * (time.monotonic() - self.saved)
         if self.folder is not None and self.group.is_first and (due or self.progress.step >= self.last_step):
             begun = time.monotonic()
             save_state(self.folder, self.network, self.optimiser, self.progress)
@@ -256,7 +256,7 @@ class _Clock:
 
 def best_step(curve: list[CurveRow], metric: str | None) -> int:
     """The step whose metric is best, the last of several; 0 if there is none."""
-    sign = -1 if metric in SMALLER_IS_BETTER else 1
+    sign = -1 if metric == MEDIAN else 1
     return max(((sign * value, step) for step, name, value in curve if name == metric), default=(0.0, 0))[1]
 
 

@@ -26,33 +26,60 @@ def random_case(seed: int = 0, scale: float = 0.7):
     return a, p, others, foreground, valid
 
 
-def slow_contrastive(a, p, others, foreground, valid, settings: ContrastiveSettings) -> float:
-    """Eq. 1 pair by pair and pixel by pixel."""
-    total, (b, m, n, d) = 0.0, others.shape
+def slow_contrastive(a, p, others, foreground, valid, settings: ContrastiveSettings) -> dict[str, float]:
+    """Eq. 1 pair by pair and pixel by pixel: the loss, and the means of what it is made of."""
+    b, m, _, d = others.shape
+    unit = 1 / d if settings.normalised else 1.0
+    losses, matches, hinges = [], [], {True: [], False: []}
     for i in range(b):
+        total, hard = 0.0, {True: [], False: []}
         for j in range(m):
-            total += sum((a[i, j, c] - p[i, j, c]) ** 2 for c in range(d)) / d / (b * m)
-            hinges = []
-            for k in range(n):
-                if not valid[i, j, k]:
-                    continue
-                z = np.sqrt(sum((a[i, j, c] - others[i, j, k, c]) ** 2 for c in range(d)) / d)
+            matches.append(unit * sum((a[i, j, c] - p[i, j, c]) ** 2 for c in range(d)))
+            total += matches[-1] / m
+            own = []
+            for k in np.flatnonzero(valid[i, j]):
+                z = np.sqrt(unit * sum((a[i, j, c] - others[i, j, k, c]) ** 2 for c in range(d)) + TINY)
                 margin = settings.margin_foreground if foreground[i, j, k] else settings.margin_background
-                hinges.append(max(0, margin - z**2) if settings.form == "squared" else max(0, margin - z) ** 2)
-            counted = sum(h > 0 for h in hinges) if settings.hard_negatives else len(hinges)
-            total += sum(hinges) / max(counted, 1) / (b * m)
-    return total
+                own.append(max(0, margin - z**2 + TINY) if settings.form == "squared" else max(0, margin - z) ** 2)
+                hinges[bool(foreground[i, j, k])].append(own[-1])
+                hard[bool(foreground[i, j, k])] += [own[-1]] if own[-1] > 0 else []
+            if not settings.hard_negatives:
+                total += sum(own) / max(len(own), 1) / m
+        if settings.hard_negatives:
+            total += sum(sum(some) / max(len(some), 1) for some in hard.values())
+        losses.append(total)
+    means = {"loss": np.mean(losses), "loss_match": np.mean(matches)}
+    for name, some in (("foreground", hinges[True]), ("background", hinges[False])):
+        means |= {f"loss_{name}": np.mean(some), f"share_inside_margin_{name}": np.mean(np.array(some) > 0)}
+    return means
+
+
+def means(terms) -> dict[str, float]:
+    return {name: float(value) / float(count) for name, (value, count) in terms.logged.items()}
 
 
 @pytest.mark.parametrize("form", ["squared", "plain"])
 @pytest.mark.parametrize("hard_negatives", [False, True])
-def test_contrastive_loss_equals_its_formula_in_loops(form, hard_negatives):
-    case = random_case()
-    settings = ContrastiveSettings(form=form, hard_negatives=hard_negatives)
+@pytest.mark.parametrize("normalised", [False, True])
+def test_contrastive_loss_and_all_its_terms_equal_their_formulas_in_loops(form, hard_negatives, normalised):
+    case = random_case(scale=0.3 if normalised else 0.15)
+    settings = ContrastiveSettings(form=form, hard_negatives=hard_negatives, normalised=normalised)
     expected = slow_contrastive(*case, settings)
+    assert all(expected.values()), "a term that is zero proves nothing"
     found = contrastive(*map(torch.from_numpy, case), settings)
-    assert float(found.loss) == pytest.approx(expected, rel=1e-4)
-    assert set(found.logged) == {"loss_match", "loss_foreground", "loss_background", "share_inside_margin"}
+    assert float(found.loss) == pytest.approx(expected["loss"], rel=1e-4)
+    assert means(found) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("hard_negatives", [False, True])
+def test_parts_of_a_batch_add_up_to_the_whole(hard_negatives):
+    case = [torch.from_numpy(array) for array in random_case()]
+    settings = ContrastiveSettings(hard_negatives=hard_negatives)
+    whole = contrastive(*case, settings)
+    parts = [contrastive(*(array[i : i + 1] for array in case), settings) for i in range(2)]
+    assert float(sum(part.loss for part in parts)) / 2 == pytest.approx(float(whole.loss))
+    for name, value in whole.logged.items():
+        torch.testing.assert_close(sum(part.logged[name] for part in parts), value)
 
 
 def test_the_loss_is_zero_where_matches_agree_and_all_else_is_beyond_the_margins():
@@ -111,7 +138,9 @@ def test_heat_map_entropy_equals_its_formula_in_loops():
     uv = torch.tensor([[[10.0, 5.0], [30.3, 20.9], [17.5, 11.2]], [[4.0, 4.0], [35.0, 19.0], [21.7, 12.9]]]).double()
     grid = torch.nn.functional.interpolate(cells, scale_factor=2, mode="bilinear", align_corners=False)
     expected = slow_heat_map_entropy(queries.numpy(), grid.numpy(), uv.numpy(), 4.0, 4.0)
-    assert float(heat_map_entropy(queries, cells, uv, 4.0)) == pytest.approx(expected, rel=1e-6)
+    found = heat_map_entropy(queries, cells, uv, 4.0)
+    assert found.shape == (2, 3)
+    assert float(found.mean()) == pytest.approx(expected, rel=1e-6)
 
 
 def test_bilinear_corners_reproduce_sampling():
@@ -131,7 +160,10 @@ def test_infonce_is_lowest_where_each_pixel_is_like_itself_alone():
     good = infonce(cells, cells, right, right, uv, uv, 4.0, 0.1)
     bad = infonce(cells, cells, right, wrong, uv, uv, 4.0, 0.1)
     assert float(good.loss) < float(bad.loss)
-    assert float(good.logged["loss_match"]) == 0.0
+    assert means(good)["loss_match"] == 0.0
+    logged = means(bad)
+    assert logged["loss"] == pytest.approx(float(bad.loss))
+    assert logged["loss"] == pytest.approx(logged["loss_heat_map"] + 0.1 * logged["loss_match"])
 
 
 def test_up_sampled_descriptors_are_what_the_heat_maps_are_trained_on():

@@ -1,37 +1,62 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 
-import numpy as np
 import pytest
 import torch
 
+from bask_data.nn import training
 from bask_data.nn.augment import AugmentSettings
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings
 from bask_data.nn.sampling import SampleSettings
-from bask_data.nn.training import (
-    STATE,
-    TrainingSettings,
-    learning_rate,
-    pixel_errors,
-    remove_all_but_state,
-    remove_state,
-    train_network,
-)
+from bask_data.nn.state import BEST, STATE
+from bask_data.nn.training import TrainingSettings, best_step, learning_rate, train_network, uses_bfloat16
 from tests.nn.pairs import ScenePairs
 
 SAMPLE = SampleSettings(size=(32, 40), n_pairs=1, n_matches=24, n_non_matches=30)
-SETTINGS = TrainingSettings(steps=6, learning_rate=1e-3, precision="float32", log_every=2, save_every=2)
+SETTINGS = TrainingSettings(steps=6, learning_rate=1e-3, precision="float32", log_every=2, save_share=inf)
 AUGMENT = AugmentSettings(rotation=0.3)
+CONTRASTIVE = {
+    "loss",
+    "loss_match",
+    "loss_foreground",
+    "loss_background",
+    "share_inside_margin_foreground",
+    "share_inside_margin_background",
+}
 
 
-def new_network(height: int = 32) -> DescriptorNetwork:
+class TinyEncoder(torch.nn.Module):
+    """What all encoders are, and fast: convolutions with batch statistics to cells at stride 8, and a head."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.conv1 = torch.nn.Conv2d(3, 16, 9, stride=4, padding=4)
+        self.norm1 = torch.nn.BatchNorm2d(16)
+        self.conv2 = torch.nn.Conv2d(16, 32, 3, stride=2, padding=1)
+        self.norm2 = torch.nn.BatchNorm2d(32)
+        self.head = torch.nn.Conv2d(32, 8, 1)
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        found = self.norm1(self.conv1(images)).relu()
+        return self.head(self.norm2(self.conv2(found)).relu())
+
+
+def new_network() -> DescriptorNetwork:
+    network = DescriptorNetwork(NetworkSettings("resnet18", descriptor_dim=8, height=32))
     torch.manual_seed(0)
-    return DescriptorNetwork(NetworkSettings("resnet18", descriptor_dim=8, height=height))
+    network.encoder = TinyEncoder()
+    return network
 
 
 def weights(network: DescriptorNetwork) -> dict[str, torch.Tensor]:
     return {name: value.clone() for name, value in network.state_dict().items()}
+
+
+def assert_equal_bits(network: DescriptorNetwork, expected: dict[str, torch.Tensor]) -> None:
+    for name, value in weights(network).items():
+        assert torch.equal(value, expected[name]), name
 
 
 class Interrupted(Exception):
@@ -48,23 +73,44 @@ def stopping_before(step: int):
     return steps
 
 
+class Verdicts:
+    """Validation whose outcome is known: a metric for each time it is asked, and the weights it was asked about."""
+
+    def __init__(self, *values: float, name: str = "validation_pck_4") -> None:
+        self.values, self.name = list(values), name
+        self.seen: list[dict[str, torch.Tensor]] = []
+
+    def __call__(self, network: DescriptorNetwork) -> dict[str, float]:
+        self.seen.append(weights(network))
+        network.eval()  # as describing images does
+        network.train()
+        return {self.name: self.values[len(self.seen) - 1]}
+
+
 @pytest.mark.parametrize("loss", ["contrastive", "infonce"])
 def test_training_twice_gives_the_same_bits(loss):
     settings = replace(SETTINGS, steps=2, loss=loss)
     first, second = new_network(), new_network()
-    curve = train_network(first, ScenePairs(), SAMPLE, AUGMENT, settings)
-    assert train_network(second, ScenePairs(), SAMPLE, AUGMENT, settings) == curve
-    for name, value in weights(first).items():
-        assert torch.equal(value, weights(second)[name]), name
+    trained = train_network(first, ScenePairs(), SAMPLE, AUGMENT, settings)
+    assert train_network(second, ScenePairs(), SAMPLE, AUGMENT, settings) == trained
+    assert_equal_bits(second, weights(first))
 
 
-@pytest.mark.parametrize("stop", [3, 5])
+def judged(network: DescriptorNetwork) -> dict[str, float]:
+    """A validation metric that depends on the weights alone."""
+    return {"validation_pck_4": float(network.encoder.head.weight.detach().sum())}
+
+
+@pytest.mark.parametrize("stop", [1, 3, 5])
 def test_an_interrupted_training_ends_with_the_bits_of_an_uninterrupted_one(tmp_path, stop):
+    settings = replace(SETTINGS, validate_every=1, accumulate=2)
+    sample, arguments = replace(SAMPLE, n_pairs=2), {"validate": judged}
     whole = new_network()
-    expected = train_network(whole, ScenePairs(), SAMPLE, AUGMENT, SETTINGS)
+    expected = train_network(whole, ScenePairs(), sample, AUGMENT, settings, **arguments)
+    arguments["state_folder"] = tmp_path
     cut = new_network()
     with pytest.raises(Interrupted):
-        train_network(cut, ScenePairs(), SAMPLE, AUGMENT, SETTINGS, state_folder=tmp_path, steps=stopping_before(stop))
+        train_network(cut, ScenePairs(), sample, AUGMENT, settings, **arguments, steps=stopping_before(stop))
     assert (tmp_path / STATE).exists()
     resumed = new_network()
     numbers: list[int] = []
@@ -74,63 +120,152 @@ def test_an_interrupted_training_ends_with_the_bits_of_an_uninterrupted_one(tmp_
             numbers.append(number)
             yield number
 
-    curve = train_network(resumed, ScenePairs(), SAMPLE, AUGMENT, SETTINGS, state_folder=tmp_path, steps=steps)
-    assert numbers[0] in (2, 4)
-    assert curve == expected
-    for name, value in weights(whole).items():
-        assert torch.equal(value, weights(resumed)[name]), name
-    nothing_left = train_network(
-        new_network(), ScenePairs(), SAMPLE, AUGMENT, SETTINGS, state_folder=tmp_path, steps=steps
-    )
-    assert nothing_left == expected
+    found = train_network(resumed, ScenePairs(), sample, AUGMENT, settings, **arguments, steps=steps)
+    assert numbers[0] == stop
+    assert found == expected
+    assert_equal_bits(resumed, weights(whole))
+    again = new_network()
+    assert train_network(again, ScenePairs(), sample, AUGMENT, settings, **arguments, steps=steps) == expected
     assert numbers[-1] == 5, "a training that is done is not done again"
-    for left in ("state.part", ".tmpqWgRll"):
-        (tmp_path / left).touch()
-    remove_all_but_state(tmp_path)
-    assert [file.name for file in tmp_path.iterdir()] == [STATE]
-    remove_state(tmp_path)
-    assert list(tmp_path.iterdir()) == []
+    assert_equal_bits(again, weights(whole))
 
 
-@pytest.mark.parametrize(("loss", "share_left"), [("contrastive", 0.5), ("infonce", 0.75)])
+@pytest.mark.parametrize(("loss", "share_left"), [("contrastive", 0.65), ("infonce", 0.75)])
 def test_training_lowers_the_loss(loss, share_left):
-    settings = replace(SETTINGS, steps=24, loss=loss, learning_rate=1e-3, log_every=4)
+    settings = replace(SETTINGS, steps=80, loss=loss, learning_rate=3e-3, log_every=4)
     gentle = AugmentSettings(zoom=(1.0, 1.0), rotation=0.0, flip=0.0, background=0.0)
-    curve = train_network(new_network(), ScenePairs(n_views=2), SAMPLE, gentle, settings)
-    values = [value for _, name, value in curve if name == "loss"]
+    trained = train_network(new_network(), ScenePairs(n_views=2), SAMPLE, gentle, settings)
+    values = [value for _, name, value in trained.curve if name == "loss"]
     assert values[-1] < share_left * values[0]
 
 
-def test_the_curve_has_every_term_and_the_validation(tmp_path):
-    curve = train_network(
-        new_network(),
-        ScenePairs(),
-        SAMPLE,
-        AUGMENT,
-        replace(SETTINGS, steps=4, validate_every=4),
-        validate=lambda network: {"validation_pck_4": 0.5},
-    )
-    names = {name for _, name, _ in curve}
-    assert names == {
-        "loss",
-        "loss_match",
-        "loss_foreground",
-        "loss_background",
-        "share_inside_margin",
-        "learning_rate",
-        "validation_pck_4",
-    }
+def test_the_curve_has_every_term_and_the_validation():
+    verdicts = Verdicts(0.5)
+    settings = replace(SETTINGS, steps=4, validate_every=4)
+    curve = train_network(new_network(), ScenePairs(), SAMPLE, AUGMENT, settings, validate=verdicts).curve
+    assert {name for _, name, _ in curve} == CONTRASTIVE | {"learning_rate", "validation_pck_4"}
     assert [step for step, name, _ in curve if name == "loss"] == [2, 4]
     assert [step for step, name, _ in curve if name == "validation_pck_4"] == [4]
 
 
-def test_frozen_batch_norm_keeps_its_statistics():
+def test_rows_of_the_curve_are_means_over_the_steps_between_them():
+    every = train_network(new_network(), ScenePairs(), SAMPLE, AUGMENT, replace(SETTINGS, log_every=1)).curve
+    third = train_network(new_network(), ScenePairs(), SAMPLE, AUGMENT, replace(SETTINGS, log_every=3)).curve
+    losses = [value for _, name, value in every if name == "loss"]
+    expected = [sum(losses[:3]) / 3, sum(losses[3:]) / 3]
+    assert [value for _, name, value in third if name == "loss"] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("loss", ["contrastive", "infonce"])
+def test_a_batch_in_parts_gives_the_gradients_of_the_whole(loss):
+    settings = replace(SETTINGS, steps=2, loss=loss, frozen_batch_norm=True, log_every=1)
+    sample, whole, parted = replace(SAMPLE, n_pairs=3), new_network(), new_network()
+    of_whole = train_network(whole, ScenePairs(), sample, AUGMENT, settings)
+    # Three pairs in two parts: they are of one and of two pairs, and weigh as much.
+    of_parts = train_network(parted, ScenePairs(), sample, AUGMENT, replace(settings, accumulate=2))
+    values = [[value for _, _, value in trained.curve] for trained in (of_whole, of_parts)]
+    assert values[0] == pytest.approx(values[1], rel=1e-4)
+    assert max(value for _, name, value in of_whole.curve if name == "loss") > 0.01
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "chosen"),
+    [
+        ("validation_pck_4", (0.1, 0.7, 0.3), 2),
+        ("validation_pck_4", (0.1, 0.7, 0.7), 3),
+        ("validation_median_error_px", (9.0, 5.0, 8.0), 2),
+    ],
+)
+def test_the_weights_that_validated_best_are_kept(tmp_path, name, values, chosen):
+    verdicts, network = Verdicts(*values, name=name), new_network()
+    settings = replace(SETTINGS, steps=3, validate_every=1, best_by=name)
+    trained = train_network(network, ScenePairs(), SAMPLE, AUGMENT, settings, validate=verdicts, state_folder=tmp_path)
+    assert (trained.step, trained.n_steps) == (chosen, 3)
+    assert_equal_bits(network, verdicts.seen[chosen - 1])
+    assert not torch.equal(verdicts.seen[0]["encoder.head.weight"], verdicts.seen[1]["encoder.head.weight"])
+    assert [file.name for file in tmp_path.glob(BEST.format(step="*"))] == [BEST.format(step=chosen)]
+
+
+def test_without_a_metric_to_choose_by_the_last_weights_are_kept():
+    verdicts, network = Verdicts(0.9, 0.1), new_network()
+    settings = replace(SETTINGS, steps=2, validate_every=1, best_by=None)
+    trained = train_network(network, ScenePairs(), SAMPLE, AUGMENT, settings, validate=verdicts)
+    assert trained.step == 2
+    assert_equal_bits(network, verdicts.seen[1])
+
+
+def test_training_ends_early_when_validation_gets_no_better(tmp_path):
+    verdicts, network = Verdicts(0.1, 0.5, 0.4, 0.3), new_network()
+    settings = replace(SETTINGS, steps=40, validate_every=1, patience=2)
+    arguments = {"validate": verdicts, "state_folder": tmp_path}
+    trained = train_network(network, ScenePairs(), SAMPLE, AUGMENT, settings, **arguments)
+    assert (trained.step, trained.n_steps) == (2, 4)
+    assert_equal_bits(network, verdicts.seen[1])
+    again = new_network()
+    assert train_network(again, ScenePairs(), SAMPLE, AUGMENT, settings, **arguments) == trained
+    assert len(verdicts.seen) == 4, "called again, it knows that it has ended"
+    assert_equal_bits(again, verdicts.seen[1])
+
+
+def test_patience_begins_anew_with_each_better_one():
+    verdicts = Verdicts(0.1, 0.0, 0.2, 0.1, 0.3, 0.2)
+    settings = replace(SETTINGS, steps=6, validate_every=1, patience=2)
+    trained = train_network(new_network(), ScenePairs(), SAMPLE, AUGMENT, settings, validate=verdicts)
+    assert (trained.step, trained.n_steps) == (5, 6)
+
+
+def test_the_best_step_is_the_last_of_several_equal_ones():
+    curve = [(1, "a", 2.0), (2, "a", 3.0), (3, "a", 3.0), (4, "a", 1.0), (5, "b", 9.0)]
+    assert best_step(curve, "a") == 3
+    assert (
+        best_step([(step, "validation_median_error_px", value) for step, _, value in curve[:4]], training.MEDIAN) == 4
+    )
+    assert best_step(curve, None) == best_step(curve, "c") == 0
+
+
+def test_frozen_batch_norm_keeps_its_statistics_after_validation_too():
     network = new_network()
     before = weights(network)
-    train_network(network, ScenePairs(), SAMPLE, AUGMENT, replace(SETTINGS, steps=2, frozen_batch_norm=True))
+    settings = replace(SETTINGS, steps=3, frozen_batch_norm=True, validate_every=1)
+    train_network(network, ScenePairs(), SAMPLE, AUGMENT, settings, validate=Verdicts(0.0, 0.0, 0.0))
     after = weights(network)
     assert all(torch.equal(before[name], after[name]) for name in before if "running" in name)
     assert not torch.equal(before["encoder.conv1.weight"], after["encoder.conv1.weight"])
+
+
+def test_what_is_frozen_is_not_trained():
+    network = new_network()
+    network.encoder.requires_grad_(False)
+    network.encoder.head.requires_grad_(True)
+    before = weights(network)
+    train_network(network, ScenePairs(), SAMPLE, AUGMENT, replace(SETTINGS, steps=2, frozen_batch_norm=True))
+    changed = {name for name, value in weights(network).items() if not torch.equal(value, before[name])}
+    assert changed == {"encoder.head.weight", "encoder.head.bias"}
+
+
+def test_speed_and_waiting_are_told_but_are_no_part_of_the_curve():
+    told: list[tuple[int, dict[str, float]]] = []
+    settings = replace(SETTINGS, steps=4)
+    trained = train_network(new_network(), ScenePairs(), SAMPLE, AUGMENT, settings, watch=lambda *row: told.append(row))
+    assert [step for step, _ in told] == [2, 4]
+    for _, values in told:
+        assert values["images_per_second"] > 0
+        assert 0 <= values["share_waited"] <= 1
+        speed = {"images_per_second", "share_waited"} & values.keys()
+        assert values.keys() - speed == CONTRASTIVE | {"learning_rate"}
+    assert not {"images_per_second", "share_waited"} & {name for _, name, _ in trained.curve}
+
+
+def test_bfloat16_computes_in_it_and_ends_near_float32():
+    losses = {}
+    for precision in ("float32", "bfloat16"):
+        settings = replace(SETTINGS, steps=2, precision=precision, log_every=1)
+        trained = train_network(new_network(), ScenePairs(), SAMPLE, AUGMENT, settings)
+        losses[precision] = [value for _, name, value in trained.curve if name == "loss"]
+    assert losses["bfloat16"] != losses["float32"]
+    assert losses["bfloat16"] == pytest.approx(losses["float32"], rel=0.1)
+    assert uses_bfloat16("bfloat16", torch.device("cpu"))
+    assert not uses_bfloat16("float32", torch.device("cpu"))
 
 
 def test_rates_follow_their_schedule():
@@ -150,23 +285,11 @@ def test_a_loss_that_is_no_number_stops_training():
         train_network(network, ScenePairs(), SAMPLE, AUGMENT, SETTINGS)
 
 
-def test_pixel_errors_are_measured_in_pixels_of_the_image():
-    # A network that describes each pixel by its position finds the position of the query, wherever the match is.
-    network = new_network(height=96)
-
-    class Positions(torch.nn.Module):
-        def __init__(self, conv1):
-            super().__init__()
-            self.conv1 = conv1
-
-        def forward(self, x):
-            v, u = torch.meshgrid(torch.arange(12.0), torch.arange(16.0), indexing="ij")
-            return torch.stack([8 * u + 3.5, 8 * v + 3.5])[None]
-
-    network.encoder = Positions(network.encoder.conv1)
-    source = ScenePairs(n_views=2)
-    pixels, shares = pixel_errors(network, source, [0], 10_000)
-    pair = source.pair(0)
-    expected = np.linalg.norm(pair.uv_a.clip(3.5, [123.5, 91.5]) - pair.uv_b, axis=1)
-    np.testing.assert_allclose(pixels, expected, atol=1.0)
-    np.testing.assert_allclose(shares, pixels / 160)
+@pytest.mark.parametrize(("share", "expected"), [(inf, [2, 4, 6]), (0.0, [2, 6])])
+def test_states_are_written_as_often_as_their_cost_allows_and_at_the_end(tmp_path, monkeypatch, share, expected):
+    saved: list[int] = []
+    monkeypatch.setattr(training, "save_state", lambda *given: saved.append(given[-1].step))
+    train_network(
+        new_network(), ScenePairs(), SAMPLE, AUGMENT, replace(SETTINGS, save_share=share), state_folder=tmp_path
+    )
+    assert saved == expected
