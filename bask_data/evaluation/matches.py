@@ -23,7 +23,7 @@ LEAST_MATCHES = 6
 """Pairs that share less are left out."""
 TOLERANCE = (0.005, 0.01)
 """A point is seen where the depth is within a + b z metres of its own."""
-N_SURFACE = 3000
+N_SURFACE = 1500
 """Points of an object's surface taken from a frame, to tell what of it is hidden in others."""
 SCALES = (1.25, 1.75)
 ROTATIONS_DEG = (30.0, 60.0, 90.0)
@@ -175,16 +175,23 @@ def _drawn(frames: Frames, frame: Frame, rng: np.random.Generator) -> Queries:
 
 def _by_truth(frames: Frames, chosen: list[Frame], rng: np.random.Generator) -> list[PairMatches]:
     """All pairs of the frames that share enough, with the matches of each first frame's queries."""
+    import numpy as np
+
     queries = [_drawn(frames, frame, rng) for frame in chosen]
+    i_first = np.repeat(np.arange(len(chosen)), [len(one.label) for one in queries])
+    everything = Queries(**{name: np.concatenate([getattr(one, name) for one in queries]) for name in vars(queries[0])})
     surface = _surfaces(frames, chosen)
     found = []
     for b in progress(chosen, f"finding true matches of {frames.scene}"):
-        visible = _visible_shares(frames, b, surface)
-        for a, one in zip(chosen, queries, strict=True):
-            if a != b and len(one.uv):
-                pair = _seen(frames, a, b, one, visible)
-                if len(pair.label) >= LEAST_MATCHES:
-                    found.append(pair)
+        columns = _projected(frames, b, everything, _visible_shares(frames, b, surface))
+        seen = np.flatnonzero(_seen(frames, b, columns))
+        # Sorted by the first frame already, for that is how they were drawn.
+        bounds = np.searchsorted(i_first[seen], np.arange(len(chosen) + 1))
+        for a, first, end in zip(chosen, bounds[:-1], bounds[1:], strict=True):
+            if a != b and end - first >= LEAST_MATCHES:
+                mine = seen[first:end]
+                one = {name: column[mine] for name, column in columns.items()}
+                found.append(PairMatches(frames.scene, a, b, False, **one))
     return found
 
 
@@ -213,21 +220,19 @@ def _visible_shares(frames: Frames, frame: Frame, surface: dict[int, np.ndarray]
     return result
 
 
-def _seen(frames: Frames, a: Frame, b: Frame, queries: Queries, visible: np.ndarray) -> PairMatches:
-    """The matches of a frame's queries that another frame really shows."""
+def _seen(frames: Frames, b: Frame, columns: dict[str, np.ndarray]) -> np.ndarray:
+    """Which points another frame really shows (m,)."""
     import numpy as np
 
     from bask_data.core import scores
 
-    pair = _projected(frames, a, b, queries, visible)
-    depth, labels, z = frames.depth(b), frames.labels(b), pair.points_b[:, 2]
-    off = np.abs(scores.true_depth(depth, labels, pair.uv_b) - z)
-    seen = (scores.label_at(labels, pair.uv_b) == pair.label) & (off <= TOLERANCE[0] + TOLERANCE[1] * z)
-    return pair.some(seen)
+    depth, labels, uv_b, z = frames.depth(b), frames.labels(b), columns["uv_b"], columns["points_b"][:, 2]
+    off = np.abs(scores.true_depth(depth, labels, uv_b) - z)
+    return (scores.label_at(labels, uv_b) == columns["label"]) & (off <= TOLERANCE[0] + TOLERANCE[1] * z)
 
 
-def _projected(frames: Frames, a: Frame, b: Frame, queries: Queries, visible: np.ndarray) -> PairMatches:
-    """Where the queries of a frame lie in another, seen there or not."""
+def _projected(frames: Frames, b: Frame, queries: Queries, visible: np.ndarray) -> dict[str, np.ndarray]:
+    """Where queries lie in another frame, seen there or not: what `PairMatches` holds, by name."""
     import numpy as np
 
     from bask_data.core.geometry import invert_rigid, project, transform
@@ -240,9 +245,15 @@ def _projected(frames: Frames, a: Frame, b: Frame, queries: Queries, visible: np
         larger = K[1, 1] / z / frames.size(b.camera)[0] / queries.magnification
         scale = np.maximum(larger, 1 / larger)
         rotation = turn_of(image_warp(points_b, b_from_world[:3, :3] @ queries.tangents_world, K))
-    return PairMatches(
-        frames.scene, a, b, False, queries.uv, uv_b, queries.label, points_b, scale, rotation, visible[queries.label]
-    )
+    return {
+        "uv_a": queries.uv,
+        "uv_b": uv_b,
+        "label": queries.label,
+        "points_b": points_b,
+        "scale": scale,
+        "rotation": rotation,
+        "visible": visible[queries.label],
+    }
 
 
 # By the dataset's own matches -----------------------------------------------------------------------------------------
@@ -274,8 +285,8 @@ def _by_correspondences(
         label = column["instance"][rows].astype(np.int64)
         visible = np.full(256, np.nan)
         visible[1 : 1 + frames.masks.n_instances] = fractions[b.camera][b.i]
-        pair = _projected(frames, a, b, _queries(frames, a, uv_a, label), visible)
+        columns = _projected(frames, b, _queries(frames, a, uv_a, label), visible)
         z = true_depth(frames.depth(b), frames.labels(b), uv_b)
         points_b = unproject(uv_b, np.where(z > 0, z, np.nan), frames.K(b.camera))
-        found.append(replace(pair, uv_b=uv_b, points_b=points_b))
+        found.append(PairMatches(frames.scene, a, b, False, **{**columns, "uv_b": uv_b, "points_b": points_b}))
     return found

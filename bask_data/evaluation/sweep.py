@@ -18,11 +18,8 @@ if TYPE_CHECKING:
 
 ZOOMS = {"1/2": 0.5, "1": 1.0, "2": 2.0}
 TURNS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0)
-CONDITIONS = {
-    "zoom": {name: (zoom, 0.0) for name, zoom in ZOOMS.items()},
-    "turn": {f"{angle:g}": (1.0, angle) for angle in TURNS_DEG},
-}
-"""By what is told apart and by its name: how much larger the target is than the reference, and degrees it is turned."""
+CONDITIONS = {"zoom": tuple(ZOOMS), "turn": tuple(f"{angle:g}" for angle in TURNS_DEG)}
+"""How much larger the target is than the reference, and degrees by which it is turned."""
 
 
 def about(centre: np.ndarray, zoom: float, turn_deg: float) -> np.ndarray:
@@ -46,6 +43,20 @@ def moved(rgb: np.ndarray, way: np.ndarray) -> np.ndarray:
     return cv2.warpAffine(rgb, way, rgb.shape[1::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
+def _ways(pair: PairMatches, size: tuple[int, int]) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
+    """By condition, what becomes of the pixels of both images."""
+    import numpy as np
+
+    middle_a, middle_b = np.median(pair.uv_a, axis=0), np.median(pair.uv_b, axis=0)
+    middle = np.array([size[1] - 1, size[0] - 1]) / 2
+    ways = {}
+    for name, zoom in ZOOMS.items():
+        ways["zoom", name] = about(middle_a, max(1 / zoom, 1.0), 0.0), about(middle_b, max(zoom, 1.0), 0.0)
+    for angle in TURNS_DEG:
+        ways["turn", f"{angle:g}"] = np.eye(2, 3), about(middle, 1.0, angle)
+    return ways
+
+
 def _stay(pair: PairMatches, frames: Frames, way_a: np.ndarray, way_b: np.ndarray) -> np.ndarray:
     """Matches that are still in both images."""
     from bask_data.core.geometry import in_image
@@ -60,19 +71,15 @@ def swept(
     """The records of each pair under each condition; the same matches under all, those that none leads out of the
     image.
 
-    One half the size is a reference twice as large: no image has to be made up around a smaller one.
+    Zoomed is about the middle of the matches, turned about that of the image: an image turned by half a turn has lost
+    nothing. One half the size is a reference twice as large, for there is nothing to show around a smaller target.
     """
     import numpy as np
 
     cells = Cells(network, frames)
     for pair in progress(pairs, f"zooming and turning views of {frames.scene} for {name}"):
         rgb_a, rgb_b = frames.rgb(pair.a), frames.rgb(pair.b)
-        centre_a, centre_b = np.median(pair.uv_a, axis=0), np.median(pair.uv_b, axis=0)
-        ways = {
-            (what, condition): (about(centre_a, max(1 / zoom, 1.0), 0.0), about(centre_b, max(zoom, 1.0), turn))
-            for what, conditions in CONDITIONS.items()
-            for condition, (zoom, turn) in conditions.items()
-        }
+        ways = _ways(pair, rgb_b.shape[:2])
         kept = np.all([_stay(pair, frames, *way) for way in ways.values()], axis=0)
         uv_a, uv_b = pair.uv_a[kept], pair.uv_b[kept]
         for (what, condition), (way_a, way_b) in ways.items():
