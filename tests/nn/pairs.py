@@ -66,3 +66,87 @@ def _pair(n_views: int, seed: int, a: int, b: int, n_matches: int) -> Pair:
         uv_a=uv[chosen].astype(np.float32),
         uv_b=uv_b[chosen].astype(np.float32),
     )
+
+
+RAMP_SIZE = (48, 64)
+RAMP_STEP = 4
+"""Grey levels a pixel of the surface: 64 pixels fill a byte."""
+MARGIN = 6
+"""Pixels from a match to the edge of its object: no blend of object and background reaches that far."""
+
+
+class RampPairs:
+    """Pairs of a plane whose colour says where on it a pixel lies: red the column, green the row, blue which object.
+
+    So where a match is can be read off an image that was warped, whatever the warp claims. The first image shows the
+    plane itself, the second an affine view of it, each pair another one.
+
+    Args:
+        n_objects: rectangles side by side, instances 1 and up.
+    """
+
+    def __init__(self, n_objects: int = 2, n_scans: int = 1, n_pairs: int = 3) -> None:
+        self.n_objects = n_objects
+        self.scans = np.repeat(np.arange(n_scans), n_pairs)
+        self.n_instances = np.full(len(self.scans), n_objects)
+        self._pairs: dict[int, Pair] = {}
+
+    @property
+    def n_pairs(self) -> int:
+        return len(self.scans)
+
+    def marker(self, scan: int, instance: int) -> int:
+        """Blue of an object, its own in every scan."""
+        return 60 + 20 * (scan * self.n_objects + instance)
+
+    def instance_of(self, marker: float) -> int:
+        return (round(marker - 60) // 20 - 1) % self.n_objects + 1
+
+    def box(self, instance: int) -> tuple[float, float, float, float]:
+        """Least u and v, largest u and v of an object on the plane."""
+        width = (RAMP_SIZE[1] - 4) / self.n_objects
+        return 2 + (instance - 1) * width, 4.0, instance * width, 43.0
+
+    def pair(self, i_pair: int) -> Pair:
+        if i_pair not in self._pairs:
+            self._pairs[i_pair] = self._made(i_pair)
+        return self._pairs[i_pair]
+
+    def _made(self, i_pair: int) -> Pair:
+        b_from_a = self.b_from_a(i_pair)
+        images = [self._seen(int(self.scans[i_pair]), matrix) for matrix in (np.eye(2, 3), b_from_a)]
+        instance, uv_a = self.points()
+        uv_b = uv_a @ b_from_a[:, :2].T + b_from_a[:, 2]
+        inside = in_image(uv_b, *RAMP_SIZE)
+        (rgb_a, instance_a), (rgb_b, instance_b) = images
+        columns = (instance[inside], uv_a[inside].astype(np.float32), uv_b[inside].astype(np.float32))
+        return Pair(rgb_a, rgb_b, instance_a, instance_b, *columns)
+
+    def b_from_a(self, i_pair: int) -> np.ndarray:
+        rng = np.random.default_rng(i_pair)
+        angle, scale = rng.uniform(-0.3, 0.3), rng.uniform(0.85, 1.0)
+        linear = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        centre = (np.array(RAMP_SIZE[::-1]) - 1) / 2
+        return np.column_stack([linear, centre + rng.uniform(-4, 4, 2) - linear @ centre])
+
+    def points(self) -> tuple[np.ndarray, np.ndarray]:
+        """Instance and place on the plane of all matches, so far apart that a pixel tells which is meant."""
+        instance, uv = [], []
+        for i in range(1, self.n_objects + 1):
+            u0, v0, u1, v1 = self.box(i)
+            grid = np.meshgrid(np.arange(u0 + MARGIN, u1 - MARGIN, 5), np.arange(v0 + MARGIN, v1 - MARGIN, 5))
+            uv.append(np.stack(grid, axis=-1).reshape(-1, 2) + np.random.default_rng(i).uniform(0, 1, 2))
+            instance.append(np.full(len(uv[-1]), i, np.uint8))
+        return np.concatenate(instance), np.concatenate(uv)
+
+    def _seen(self, scan: int, view_from_plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        plane_from_view = np.linalg.inv(np.vstack([view_from_plane, [0, 0, 1]]))[:2]
+        at = pixel_grid(*RAMP_SIZE) @ plane_from_view[:, :2].T + plane_from_view[:, 2]
+        labels = np.zeros(RAMP_SIZE, np.uint8)
+        blue = np.full(RAMP_SIZE, 20)
+        for i in range(1, self.n_objects + 1):
+            u0, v0, u1, v1 = self.box(i)
+            inside = (at >= [u0, v0]).all(axis=-1) & (at <= [u1, v1]).all(axis=-1)
+            labels[inside], blue[inside] = i, self.marker(scan, i)
+        rgb = np.dstack([RAMP_STEP * at, blue])
+        return np.clip(np.rint(rgb), 0, 255).astype(np.uint8), labels

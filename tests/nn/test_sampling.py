@@ -4,36 +4,159 @@ from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from bask_data.core.geometry import in_image
 from bask_data.nn.augment import AugmentSettings, fitting_affine, moved
-from bask_data.nn.sampling import SampleSettings, batch_of_step, non_matches
-from tests.nn.pairs import SIZE, ScenePairs
+from bask_data.nn.sampling import LEAST_SHOWN, SampleSettings, batch_of_step, non_matches, plan_of_step, rendered
+from tests.nn.pairs import RAMP_SIZE, RAMP_STEP, SIZE, RampPairs, ScenePairs
 
 SAMPLE = SampleSettings(size=(48, 64), n_pairs=2, n_matches=32, n_non_matches=20)
-PLAIN = AugmentSettings(
-    zoom=(1.0, 1.0),
-    rotation=0.0,
-    flip=0.0,
-    background=0.0,
-    brightness=0.0,
-    contrast=0.0,
-    saturation=0.0,
-    hue=0.0,
-    noise=0.0,
+COLOURLESS = AugmentSettings(brightness=0.0, contrast=0.0, saturation=0.0, hue=0.0, noise=0.0)
+PLAIN = replace(COLOURLESS, zoom=(1.0, 1.0), rotation=0.0, flip=0.0, background=0.0)
+GEOMETRY = {
+    "zoom": st.tuples(st.floats(0.6, 1.0), st.floats(1.0, 2.5)),
+    "crop": st.sampled_from(["resized", "padded"]),
+    "rotation": st.floats(0, np.pi),
+    "flip": st.floats(0, 1),
+    "background": st.floats(0, 1),
+    "composition": st.floats(0, 1),
+}
+LOOK = {
+    "brightness": st.floats(0, 1),
+    "contrast": st.floats(0, 1),
+    "saturation": st.floats(0, 1),
+    "hue": st.floats(0, np.pi),
+    "noise": st.floats(0, 20),
+    "blur": st.floats(0, 3),
+}
+OUT_SIZES = st.sampled_from([(48, 64), (40, 48), (56, 56)])
+
+
+def seen_at(rgb: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Colours of the pixels that matches fall on."""
+    u, v = np.rint(uv).astype(int).T
+    return rgb[v, u].astype(float)
+
+
+def plane_from_pixels(rgb: np.ndarray, uv: np.ndarray, marker: float) -> np.ndarray | None:
+    """Where on the plane the pixels (u, v, 1) of an image lie, as an object's colours say; None if too little is seen.
+
+    It begins with the pixels around the matches and takes in all others that agree: what is painted over may have the
+    object's blue by chance, but does not lie in its plane.
+    """
+    v, u = np.nonzero(np.abs(rgb[..., 2].astype(float) - marker) <= 1)
+    pixels, plane = np.column_stack([u, v, np.ones(len(u))]), rgb[v, u, :2] / RAMP_STEP
+    kept = (np.abs(pixels[:, None, :2] - np.rint(uv)).max(axis=-1) <= 1).any(axis=1)
+    for _ in range(6):
+        if kept.sum() < 9 or np.linalg.matrix_rank(pixels[kept]) < 3:
+            return None
+        fitted = np.linalg.lstsq(pixels[kept], plane[kept], rcond=None)[0]
+        kept = np.linalg.norm(pixels @ fitted - plane, axis=1) < 0.4
+    return fitted if kept.sum() >= 40 else None
+
+
+def read_errors(source: RampPairs, rgb: np.ndarray, uv: np.ndarray, marker: float) -> tuple[np.ndarray, float]:
+    """Where matches lie on the plane, read off the image alone, and the largest distance from a true match, pixels."""
+    matrix = plane_from_pixels(rgb, uv, marker)
+    if matrix is None:
+        return np.full((len(uv), 2), np.nan), np.nan
+    instance, points = source.points()
+    points = points[instance == source.instance_of(marker)]
+    plane = np.column_stack([uv, np.ones(len(uv))]) @ matrix
+    nearest = np.linalg.norm(plane[:, None] - points, axis=-1).argmin(axis=1)
+    # Both go back to the image, for the bar is in its pixels.
+    return points[nearest], np.linalg.norm((plane - points[nearest]) @ np.linalg.inv(matrix[:2]), axis=1).max()
+
+
+@given(
+    step=st.integers(0, 2**31),
+    n_objects=st.integers(1, 2),
+    size=OUT_SIZES,
+    augment=st.builds(lambda **chosen: replace(COLOURLESS, **chosen), **GEOMETRY),
 )
+@settings(max_examples=100)
+def test_every_match_lies_on_the_surface_it_belongs_to_however_images_are_changed(step, n_objects, size, augment):
+    source = RampPairs(n_objects, n_scans=2)
+    batch = batch_of_step(source, 0, step, replace(SAMPLE, size=size), augment)
+    for rgb_a, rgb_b, uv_a, uv_b in zip(batch.rgb_a, batch.rgb_b, batch.uv_a, batch.uv_b, strict=True):
+        markers = np.unique(np.concatenate([seen_at(rgb_a, uv_a), seen_at(rgb_b, uv_b)])[:, 2])
+        assert len(markers) == 1, "a match is covered, or on another object"
+        points_a, error_a = read_errors(source, rgb_a, uv_a, markers[0])
+        points_b, error_b = read_errors(source, rgb_b, uv_b, markers[0])
+        assert not error_a >= 0.5
+        assert not error_b >= 0.5
+        both = np.isfinite(points_a) & np.isfinite(points_b)
+        np.testing.assert_array_equal(points_a[both], points_b[both])
+
+
+def test_matches_are_read_off_nearly_all_images():
+    # The test above skips images that show too little of an object to read them.
+    source, n_read = RampPairs(2, n_scans=2), 0
+    augment = replace(COLOURLESS, zoom=(0.6, 2.5), composition=0.5)
+    for step in range(50):
+        batch = batch_of_step(source, 0, step, SAMPLE, augment)
+        marker = seen_at(batch.rgb_b[0], batch.uv_b[0])[0, 2]
+        n_read += np.isfinite(read_errors(source, batch.rgb_b[0], batch.uv_b[0], marker)[1])
+    assert n_read >= 45
+
+
+@given(
+    step=st.integers(0, 2**31),
+    geometry=st.fixed_dictionaries(GEOMETRY),
+    look=st.fixed_dictionaries(LOOK),
+)
+@settings(max_examples=30)
+def test_light_and_grain_move_no_match(step, geometry, look):
+    # So what is read off colourless images holds for all others.
+    source, plain = RampPairs(2, n_scans=2), replace(COLOURLESS, **geometry)
+    coloured = batch_of_step(source, 0, step, SAMPLE, replace(plain, **look))
+    colourless = batch_of_step(source, 0, step, SAMPLE, plain)
+    for name in ("uv_a", "uv_b", "non_matches_b", "foreground", "valid"):
+        np.testing.assert_array_equal(getattr(coloured, name), getattr(colourless, name))
+
+
+def assert_same(one, other):
+    for a, b in zip(astuple(one), astuple(other), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_a_batch_depends_on_seed_and_step_alone():
     source = ScenePairs()
-    first = [batch_of_step(source, 7, step, SAMPLE, AugmentSettings()) for step in (0, 1, 2)]
-    again = [batch_of_step(source, 7, step, SAMPLE, AugmentSettings()) for step in (2, 0, 1)]
+    first = [batch_of_step(source, 7, step, SAMPLE, AugmentSettings(composition=0.5)) for step in (0, 1, 2)]
+    again = [batch_of_step(source, 7, step, SAMPLE, AugmentSettings(composition=0.5)) for step in (2, 0, 1)]
     for one, other in zip(first, [again[1], again[2], again[0]], strict=True):
-        for a, b in zip(astuple(one), astuple(other), strict=True):
-            np.testing.assert_array_equal(a, b)
-    other_seed = batch_of_step(source, 8, 0, SAMPLE, AugmentSettings())
+        assert_same(one, other)
+    other_seed = batch_of_step(source, 8, 0, SAMPLE, AugmentSettings(composition=0.5))
     assert not np.array_equal(first[0].rgb_a, other_seed.rgb_a)
     assert not np.array_equal(first[0].rgb_a, first[1].rgb_a)
+
+
+def test_some_examples_of_a_step_are_those_of_the_whole_step():
+    sample = replace(SAMPLE, n_pairs=4)
+    whole = batch_of_step(ScenePairs(), 3, 5, sample, AugmentSettings())
+    for part in (range(1), range(1, 4), range(1, 4, 2)):
+        some = batch_of_step(ScenePairs(), 3, 5, sample, AugmentSettings(), part)
+        for a, b in zip(astuple(some), astuple(whole), strict=True):
+            np.testing.assert_array_equal(a, b[part.start : part.stop : part.step])
+    assert not np.array_equal(whole.rgb_a[0], whole.rgb_a[1])
+
+
+def test_a_plan_drawn_by_torch_is_the_batch_that_opencv_draws():
+    augment = AugmentSettings(zoom=(0.5, 2.0), composition=1.0, crop="padded", blur=1.5)
+    for step in range(4):
+        batch = batch_of_step(ScenePairs(), 1, step, SAMPLE, augment)
+        there = rendered(plan_of_step(ScenePairs(), 1, step, SAMPLE, augment), torch.device("cpu"))
+        for name in ("uv_a", "uv_b", "non_matches_b", "foreground", "valid"):
+            np.testing.assert_array_equal(getattr(there, name).numpy(), getattr(batch, name))
+        for name in ("rgb_a", "rgb_b"):
+            difference = np.abs(getattr(there, name).numpy().astype(int) - getattr(batch, name))
+            assert difference.max() <= 4
+            assert difference.mean() < 0.5
+        on = batch.on(torch.device("cpu"))
+        assert all(torch.equal(torch.from_numpy(a), b) for a, b in zip(astuple(batch), astuple(on), strict=True))
 
 
 def test_all_coordinates_are_in_the_images():
@@ -67,6 +190,109 @@ def test_a_pair_is_of_one_instance_and_its_matches_are_the_given_ones():
     assert len(seen) > 1
 
 
+def pasted_share(rgb: np.ndarray, marker: int) -> float:
+    return (rgb[..., 2] == marker).mean()
+
+
+def test_an_object_of_the_same_scan_is_pasted_where_a_scan_has_several():
+    source = RampPairs(2, n_scans=2, n_pairs=2)
+    n_more = 0
+    for step in range(30):
+        sample = replace(SAMPLE, n_pairs=1)
+        before = batch_of_step(source, 0, step, sample, replace(PLAIN, rotation=1.0))
+        after = batch_of_step(source, 0, step, sample, replace(PLAIN, rotation=1.0, composition=1.0))
+        own = int(seen_at(after.rgb_b[0], after.uv_b[0])[0, 2])
+        scan = (own - 80) // 40
+        (other,) = {source.marker(scan, instance) for instance in (1, 2)} - {own}
+        elsewhere = [source.marker(1 - scan, instance) for instance in (1, 2)]
+        assert pasted_share(after.rgb_b[0], own) < pasted_share(before.rgb_b[0], own) + 0.02
+        n_more += pasted_share(after.rgb_b[0], other) > pasted_share(before.rgb_b[0], other)
+        assert sum(pasted_share(after.rgb_b[0], marker) for marker in elsewhere) < 0.02
+    assert n_more >= 15
+
+
+def test_an_object_of_another_scan_is_pasted_where_each_scan_has_one():
+    source = RampPairs(1, n_scans=3, n_pairs=2)
+    n_pasted = 0
+    for step in range(30):
+        batch = batch_of_step(source, 0, step, replace(SAMPLE, n_pairs=1), replace(PLAIN, composition=1.0))
+        own = int(seen_at(batch.rgb_b[0], batch.uv_b[0])[0, 2])
+        others = [source.marker(scan, 1) for scan in range(3) if source.marker(scan, 1) != own]
+        n_pasted += max(pasted_share(batch.rgb_b[0], marker) for marker in others) > 0.02
+    assert n_pasted >= 20
+
+
+def test_what_is_pasted_is_background():
+    source = RampPairs(1, n_scans=2)
+    sample = replace(SAMPLE, n_pairs=1, n_non_matches=200, foreground_share=0.5)
+    other_seen = False
+    for step in range(20):
+        batch = batch_of_step(source, 0, step, sample, replace(PLAIN, composition=1.0))
+        own = seen_at(batch.rgb_b[0], batch.uv_b[0])[0, 2]
+        colours = seen_at(batch.rgb_b[0], batch.non_matches_b[0].reshape(-1, 2))[:, 2].reshape(32, 200)
+        (other,) = {80, 100} - {own}
+        # Colours blend at the edge of an object, so a few pixels are neither.
+        assert (colours[batch.foreground[0]] == own).mean() > 0.9
+        assert not (colours[batch.foreground[0]] == other).any()
+        other_seen |= bool((colours[~batch.foreground[0]] == other).any())
+    assert other_seen
+
+
+def test_a_pair_whose_object_would_be_hidden_goes_without():
+    source, sample = RampPairs(1, n_scans=2), replace(SAMPLE, n_pairs=1, n_matches=2000, n_non_matches=0)
+    fewest = 1.0
+    for step in range(40):
+        before, after = (
+            len(np.unique(batch_of_step(source, 0, step, sample, replace(PLAIN, composition=share)).uv_b[0], axis=0))
+            for share in (0.0, 1.0)
+        )
+        fewest = min(fewest, after / before)
+    # Each of the two images may hide three quarters of what is left.
+    assert LEAST_SHOWN**2 <= fewest < 0.9
+
+
+def test_a_source_with_nothing_else_to_paste_stays_as_it_is():
+    source = RampPairs(1, n_scans=1)
+    for step in range(3):
+        images = [batch_of_step(source, 0, step, SAMPLE, replace(PLAIN, composition=c)).rgb_a for c in (0.0, 1.0)]
+        assert (images[0] == images[1]).mean() > 0.99
+
+
+def test_a_padded_crop_keeps_its_scale_and_paints_over_the_rest():
+    source, sample = RampPairs(1), replace(SAMPLE, size=RAMP_SIZE, n_pairs=1)
+    shares = []
+    for step in range(60):
+        batch = batch_of_step(source, 0, step, sample, replace(PLAIN, zoom=(1.0, 2.0), crop="padded"))
+        rgb, uv = batch.rgb_a[0], batch.uv_a[0]
+        matrix = plane_from_pixels(rgb, uv, source.marker(0, 1))
+        assert np.sqrt(abs(np.linalg.det(matrix[:2]))) == pytest.approx(1.0, abs=0.2)
+        plain = batch_of_step(source, 0, step, sample, PLAIN).rgb_a[0]
+        kept = np.abs(rgb.astype(int) - plain).max(axis=-1) == 0
+        rows, columns = np.flatnonzero(kept.mean(axis=1) > 0.4), np.flatnonzero(kept.mean(axis=0) > 0.4)
+        assert len(rows) >= 0.5 * RAMP_SIZE[0] - 1
+        assert len(columns) >= 0.5 * RAMP_SIZE[1] - 1
+        shares.append((len(rows) / RAMP_SIZE[0], len(columns) / RAMP_SIZE[1]))
+    heights, widths = np.array(shares).T
+    assert min(heights) < 0.6
+    assert max(heights) > 0.9
+    assert abs(np.corrcoef(heights, widths)[0, 1]) < 0.5
+
+
+def test_a_match_at_the_very_edge_of_its_object_is_used_when_there_is_no_other():
+    source = RampPairs(1)
+    pair = source.pair(0)
+    at_edge = replace(
+        pair,
+        instance_a=np.zeros_like(pair.instance_a),
+        instance=pair.instance[:1],
+        uv_a=pair.uv_a[:1],
+        uv_b=pair.uv_b[:1],
+    )
+    source.pair = lambda i_pair: at_edge
+    batch = batch_of_step(source, 0, 0, replace(SAMPLE, n_pairs=1), replace(PLAIN, composition=1.0))
+    assert len(np.unique(batch.uv_a[0], axis=0)) == 1
+
+
 @pytest.mark.parametrize("foreground_share", ["auto", 0.3])
 def test_non_matches_lie_where_they_say_and_away_from_the_match(foreground_share):
     mask = np.zeros((40, 50), bool)
@@ -78,6 +304,7 @@ def test_non_matches_lie_where_they_say_and_away_from_the_match(foreground_share
     np.testing.assert_array_equal(mask[pixels[..., 1].astype(int), pixels[..., 0].astype(int)], foreground)
     distance = np.linalg.norm(pixels - uv[:, None], axis=-1)
     assert (distance[valid] >= sample.clearance).all()
+    assert (distance[~valid] < sample.clearance).all()
     assert valid.mean() > 0.99
     expected = mask.mean() if foreground_share == "auto" else 0.3
     assert foreground.mean() == pytest.approx(expected, abs=0.006)
@@ -87,7 +314,7 @@ def test_background_non_matches_reach_every_corner_of_the_image():
     mask = np.zeros((40, 50), bool)
     mask[15:25, 20:30] = True
     uv = np.full((200, 2), [24.5, 19.5], np.float32)
-    sample = replace(SAMPLE, n_non_matches=100, foreground_share=0.0)
+    sample = replace(SAMPLE, n_non_matches=400, foreground_share=0.0)
     pixels, _, _ = non_matches(mask, uv, sample, np.random.default_rng(0))
     hit = np.zeros(mask.shape, bool)
     hit[pixels[..., 1].astype(int), pixels[..., 0].astype(int)] = True
