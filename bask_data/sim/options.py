@@ -25,6 +25,12 @@ class SimOptions(Params):
     seed: int = Field(
         0, ge=0, description="Objects (size, texture) belong to the seed; where they stand, to seed and recording."
     )
+    background_seed: int | None = Field(
+        None, ge=0, description="Another table and floor, by this seed. Default: boards and tiles, by --seed."
+    )
+    distance_spread: FiniteFloat = Field(
+        0.22, ge=0, le=0.4, description="Share by which the distance of a scan's camera varies: 0.4 is 2.3 to 1."
+    )
     cameras: tuple[CameraName, ...] = Field(("wrist", "overhead"), min_length=1, description="Cameras, by commas.")
     frames: int = Field(60, ge=1, description="Frames of a scan. A demonstration is as long as it takes.")
     height: int = Field(256, ge=16, le=4096, description="Height of the images, pixels.")

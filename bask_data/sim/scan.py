@@ -50,7 +50,7 @@ def camera_path(world: World, n_frames: int, rng: np.random.Generator) -> Float[
     azimuth = rng.uniform(0, 2 * np.pi) + 2 * np.pi * TURNS * s
     # Up and down again, so that neighbouring turns cross and differ in height.
     elevation = ELEVATION[0] + (ELEVATION[1] - ELEVATION[0]) * (0.5 - 0.5 * np.cos(2 * np.pi * s))
-    radius = distance * (1 + 0.22 * sway)
+    radius = distance * (1 + world.options.distance_spread * sway)
     ring = radius * np.cos(elevation)
     eyes = middle + np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), radius * np.sin(elevation)], axis=1)
     aims = middle + 0.05 * np.stack([aim_x, aim_y, np.zeros(n_frames)], axis=1)

@@ -107,3 +107,15 @@ def tiles(rng: np.random.Generator, size: int) -> UInt8[ndarray, "s s 3"]:
         image[i * step : i * step + 3] *= 0.7
         image[:, i * step : i * step + 3] *= 0.7
     return image.clip(0, 255).astype(np.uint8)
+
+
+def covering(rng: np.random.Generator, size: int) -> UInt8[ndarray, "s s 3"]:
+    """What may cover a table or a floor, in any colour: mottled stone, a chequered cloth, or stripes."""
+    hue, kind, n_stripes = rng.uniform(), int(rng.integers(0, 3)), int(rng.integers(7, 20))
+    noise = smooth_noise(rng, size, size, (6, 20, 60, 160))[..., None]
+    dark = colour(hue, rng.uniform(0.2, 0.7), rng.uniform(0.25, 0.5))
+    light = colour(hue + rng.uniform(-0.1, 0.1), rng.uniform(0.1, 0.5), rng.uniform(0.65, 0.95))
+    along = (np.arange(size) * n_stripes // size) % 2
+    across = along[:, None] * np.ones(size) if kind == 1 else (along[:, None] + along) / 2
+    share = noise if kind == 0 else 0.3 * noise + 0.7 * across[..., None]
+    return (dark * (1 - share) + light * share).clip(0, 255).astype(np.uint8)

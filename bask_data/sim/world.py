@@ -56,7 +56,7 @@ class World:
         colours = {name: hsv for thing in things for name, hsv in thing.labelled.items()}
         self.labels = {name: i + 1 for i, name in enumerate(colours)}
         self.model = mujoco.MjModel.from_xml_string(_mjcf(things, colours, options))
-        _paint(self.model, things, seed)
+        _paint(self.model, things, seed, options.background_seed)
         self.data = mujoco.MjData(self.model)
 
     # What is what -----------------------------------------------------------------------------------------------------
@@ -306,13 +306,16 @@ def _overhead() -> dict[str, str]:
     return {"pos": numbers(OVERHEAD_AT), "xyaxes": numbers([*right, *up]), "fovy": f"{OVERHEAD_FOV_DEG}"}
 
 
-def _paint(model: Any, things: list[Thing], seed: list[int]) -> None:
+def _paint(model: Any, things: list[Thing], seed: list[int], background_seed: int | None) -> None:
     """Fill in the textures, which the model only reserves room for."""
     images = {
         "table": textures.wood(np.random.default_rng([*seed, 2]), 512),
         "floor": textures.tiles(np.random.default_rng([*seed, 3]), 256),
         "gripper": textures.object_faces(np.random.default_rng([*seed, 4]), 0.6, 0.08, 0.55),
     }
+    if background_seed is not None:
+        for i, name in enumerate(("table", "floor")):
+            images[name] = textures.covering(np.random.default_rng([background_seed, i]), len(images[name]))
     colours = [(name, hsv, thing.is_symmetric) for thing in things for name, hsv in thing.labelled.items()]
     for i, (name, (hue, saturation, value), is_symmetric) in enumerate(colours):
         rng = np.random.default_rng([*seed, 5, i])

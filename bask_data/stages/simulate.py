@@ -33,8 +33,11 @@ FORMAT = "sim"
 MAX_ATTEMPTS = 20
 """Failed demonstrations in a row after which the simulator is at fault, not chance."""
 _SCAN, _DEMONSTRATION = 0, 1
-_ONLY_SCANS = {"frames", "gripper_in_view"}
+_ONLY_SCANS = {"frames", "gripper_in_view", "distance_spread"}
 """Options that a demonstration does not depend on."""
+_NOTHING_WHEN_UNSET = {"background_seed", "distance_spread"}
+"""Options that are left out of a key where they are not set, so that recordings made before there were any are still
+what they would be."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,8 @@ class Job:
     def params(self) -> dict[str, Any]:
         """What its content follows from."""
         unused = _ONLY_SCANS if self.makes is Demonstration else set()
+        fields = SimOptions.model_fields
+        unused = unused | {one for one in _NOTHING_WHEN_UNSET if getattr(self.options, one) == fields[one].default}
         return {"index": self.index, **self.options.model_dump(mode="json", exclude=unused)}
 
     @cached_property

@@ -41,6 +41,28 @@ def test_camera_goes_around_at_varied_distance_height_and_roll_and_sees_the_obje
     assert np.ptp(level) > 15
 
 
+@pytest.mark.parametrize("task", TASKS)
+def test_distances_spread_as_far_as_asked_and_the_camera_stays_out_of_things(task: TaskName) -> None:
+    ratios = []
+    for spread in (0.22, 0.4):
+        world = World(SimOptions(task=task, height=48, width=64, frames=60, distance_spread=spread))
+        take = scan(world, np.random.default_rng(1))
+        world.restore(take.layout)
+        centres = world.data.geom_xpos[world.is_object_geom()]
+        middle = (centres.min(axis=0) + centres.max(axis=0)) / 2
+        eyes = camera_path(world, 60, np.random.default_rng(2))[:, :3, 3]
+        distance = np.linalg.norm(eyes - middle, axis=1)
+        ratios.append(distance.max() / distance.min())
+        renderer = renderer_of(world)
+        renderer.shows_gripper = False
+        for qpos in take.qpos[::6]:
+            world.show(qpos)
+            depth = renderer.view("wrist").depth
+            assert depth[depth > 0].min() > 0.05
+    assert ratios[1] > 1.2 * ratios[0]
+    assert ratios[1] < 1.4 / 0.6 + 1e-6
+
+
 def test_wrist_camera_is_where_the_path_says() -> None:
     world = World(SimOptions(task="lid", height=48, width=64, frames=7))
     take = scan(world, np.random.default_rng(0))

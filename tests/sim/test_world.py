@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from bask_data.errors import UsageError
+from bask_data.sim import textures
 from bask_data.sim import world as world_module
 from bask_data.sim.options import MAX_CLUTTER, TASKS, SimOptions, TaskName
+from bask_data.sim.scan import scan
 from bask_data.sim.world import GAP, TABLE, World
-from tests.sim.worlds import world_of
+from tests.sim.worlds import views, world_of
 
 TOUCHING: dict[TaskName, list[tuple[int, int]]] = {"microwave": [(1, 2)], "lid": [(1, 2)], "phone": [], "rubbish": []}
 
@@ -40,6 +42,32 @@ def test_same_seed_gives_the_same_world_and_another_seed_other_objects() -> None
     layouts = [world.lay_out(np.random.default_rng(7)) for world in (one, same)]
     for name in vars(layouts[0]):
         np.testing.assert_array_equal(getattr(layouts[0], name), getattr(layouts[1], name))
+
+
+def test_another_background_shows_the_same_objects_at_the_same_places_of_another_table() -> None:
+    seen = []
+    for background_seed in (None, 1, 1, 2):
+        world = world_of("phone", background_seed=background_seed)
+        [view] = views(world, scan(world, np.random.default_rng(0)), "wrist", [3])
+        seen.append(view)
+    usual, one, again, other = seen
+    for view in (one, other):
+        np.testing.assert_array_equal(view.instance, usual.instance)
+        np.testing.assert_array_equal(view.depth, usual.depth)
+        on_objects = view.instance > 0
+        np.testing.assert_array_equal(view.rgb[on_objects], usual.rgb[on_objects])
+        ground = (view.instance == 0) & (view.depth > 0)
+        assert (view.rgb != usual.rgb).any(axis=-1)[ground].mean() > 0.9
+    np.testing.assert_array_equal(one.rgb, again.rgb)
+    assert np.abs(one.rgb.astype(int) - other.rgb).mean() > 10
+
+
+def test_coverings_of_many_seeds_differ_in_colour_and_pattern() -> None:
+    coverings = [textures.covering(np.random.default_rng([seed, 0]), 64).astype(float) for seed in range(12)]
+    assert np.ptp([covering.mean(axis=(0, 1)) for covering in coverings], axis=0).min() > 60
+    along = np.array([[covering.std(axis=axis).mean() for axis in (0, 1)] for covering in coverings])
+    # Stripes run along one axis, stone and cheques along none.
+    assert (along[:, 0] > 2 * along[:, 1]).any() and (along[:, 0] < 1.3 * along[:, 1]).any()
 
 
 def test_a_scene_does_not_depend_on_the_ones_before() -> None:

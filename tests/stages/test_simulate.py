@@ -24,7 +24,7 @@ from bask_data.pipeline import STAGES
 from bask_data.sim import experts
 from bask_data.sim.options import SimOptions
 from bask_data.stages import simulate as simulate_module
-from bask_data.stages.simulate import simulate
+from bask_data.stages.simulate import Job, simulate
 from bask_data.validate import validate
 from tests.stages.test_ingest import everything_below
 
@@ -141,6 +141,19 @@ def test_again_is_up_to_date_other_options_are_refused_and_force_replaces(tmp_pa
     assert made(root, seed=1, force=True) == ["made scan phone_scan0", "made truth phone_scan0"]
     assert made(root, seed=1) == ["up to date scan phone_scan0"]
     assert validate(Dataset(root)) == []
+
+
+def test_options_that_came_later_leave_keys_alone_until_they_are_set() -> None:
+    plain = Job(Scan, 0, SimOptions(task="lid"))
+    assert not {"background_seed", "distance_spread"} & set(plain.params)
+    # Of a recording made before there were these options.
+    assert plain.key == "c950b336a42ed039a9a20062095aec2d077b7924bbf6101378546fa23536ef21"
+    changed = [
+        Job(Scan, 0, SimOptions(task="lid", **one)) for one in ({"background_seed": 0}, {"distance_spread": 0.3})
+    ]
+    assert len({plain.key, *(job.key for job in changed)}) == 3
+    demonstrations = [Job(Demonstration, 0, SimOptions(task="lid", distance_spread=one)).key for one in (0.22, 0.3)]
+    assert demonstrations[0] == demonstrations[1]
 
 
 def test_truth_that_was_lost_comes_again_and_the_recording_stays_the_same(tmp_path: Path) -> None:
