@@ -11,7 +11,7 @@ import markupsafe
 
 from bask_data import __version__
 from bask_data.dataset import Dataset
-from bask_data.report import sections
+from bask_data.report import heat, sections
 from bask_data.report.figures import UNREADABLE, Measured, what_is_wrong
 
 TEMPLATE = "page.html.j2"
@@ -59,7 +59,7 @@ SECTIONS: list[tuple[str, str, Callable[[sections.Chosen], Any]]] = [
     ("matches", "Matches between two views", sections.matches),
     ("training", "Training", sections.training),
     ("reference", "Reference keypoints", sections.reference),
-    ("heat", "Correspondence heat maps", sections.heat_maps),
+    ("heat", "Correspondence heat maps", heat.heat_maps),
     ("keypoints", "Keypoints tracked", sections.tracks),
 ]
 

@@ -13,9 +13,12 @@ import numpy as np
 
 from bask_data.core.geometry import scale_pixels
 
+WHITE = (255, 255, 255)
 INVALID = (128, 128, 128)
 """Where no depth was measured."""
 HATCH, HATCH_PX = (24, 24, 24), 6
+RING_PX = 7.0
+"""Radius of the ring around a best match."""
 N_COLOURS = 255
 """Labels beyond this, which no image of labels holds, begin again with the first colour."""
 _SUBPIXEL_BITS = 4
@@ -225,8 +228,15 @@ def marks_picture(rgb: np.ndarray, marks: Sequence[Mark], width: int) -> np.ndar
     return picture
 
 
-def heat_picture(rgb: np.ndarray, heat: np.ndarray, marks: Sequence[Mark], width: int) -> np.ndarray:
-    """A heat map (any resolution, its largest value the brightest) glowing over the dimmed image."""
+def heat_picture(
+    rgb: np.ndarray, heat: np.ndarray, marks: Sequence[Mark], width: int, *, truth_seen: bool = True
+) -> np.ndarray:
+    """A heat map (any resolution, its largest value the brightest) glowing over the dimmed image.
+
+    Args:
+        marks: best matches as rings, true places as crosses joined to them.
+        truth_seen: grey crosses stand for places that the image does not show.
+    """
     picture = resize(rgb, width).astype(np.float32)
     size = (picture.shape[1], picture.shape[0])
     level = np.clip(cv2.resize((heat / max(float(heat.max()), 1e-12)).astype(np.float32), size), 0, 1)
@@ -238,8 +248,16 @@ def heat_picture(rgb: np.ndarray, heat: np.ndarray, marks: Sequence[Mark], width
     drawn = np.clip(blended, 0, 255).astype(np.uint8)
     for mark in marks:
         point = scale_pixels(mark.pixel.astype(np.float64), rgb.shape[:2], drawn.shape[:2])
+        truth = mark.pixel * np.nan if mark.truth is None else mark.truth.astype(np.float64)
+        truth = scale_pixels(truth, rgb.shape[:2], drawn.shape[:2])
+        if np.isfinite([*point, *truth]).all() and truth_seen:
+            # From the ring on: what is inside of it is to be seen.
+            start = point + (truth - point) * min(1.0, RING_PX / max(float(np.linalg.norm(truth - point)), 1e-9))
+            cv2.line(drawn, _fixed(start), _fixed(truth), WHITE, 1, cv2.LINE_AA, _SUBPIXEL_BITS)
+        if np.isfinite(truth).all():
+            _cross(drawn, truth, WHITE if truth_seen else INVALID, 5.0)
         if np.isfinite(point).all():
-            _cross(drawn, point, mark.colour)
+            _dot(drawn, point, RING_PX, mark.colour, filled=False)
     return drawn
 
 

@@ -16,16 +16,13 @@ import numpy as np
 from bask_data.artifact import Artifact
 from bask_data.core.geometry import in_image, invert_rigid, project, scale_pixels, transform
 from bask_data.dataset import Dataset
-from bask_data.errors import BadData
 from bask_data.kinds import (
     Correspondences,
-    Demonstration,
     DescriptorNet,
     KeypointTrack,
     ObjectInstances,
     Pick,
     Reconstruction,
-    Recording,
     ReferenceKeypoints,
     Scan,
     Truth,
@@ -34,18 +31,18 @@ from bask_data.kinds import (
 from bask_data.report import figures
 from bask_data.report import pictures as draw
 from bask_data.report.figures import Measured, TrackScores, find, find_recording, find_truth, spread_frames
+from bask_data.report.points import frame_of
 
 N_ITEMS = 3
 """Scenes, demonstrations and variants shown; more would make a page nobody loads."""
 N_ROWS = 32
 N_CAMERAS = 3
 N_MATCHES = 30
-N_HEATED = 5
-N_HEAT_FRAMES = 4
+N_NETWORKS = 5
+"""Descriptor networks compared: one a preset, and one more."""
 N_TRAIL = 15
 TILE, PICTURE, WIDE = 320, 480, 1100
 FIRST, LAST = (80, 220, 120), (240, 70, 90)
-WHITE = (255, 255, 255)
 BAD = "#e0453a"
 CAMERA_COLOURS = ("", "#4a90d0", "#3f9f74", "#a07cc0", "#b8923a")
 """Of curves, none of them near `BAD`; the first is that of the text."""
@@ -74,6 +71,13 @@ class Chosen:
             for name in self.demonstrations
             if find(self.dataset, KeypointTrack, name, variant)
         ]
+
+    @cached_property
+    def networks(self) -> dict[str, DescriptorNet]:
+        """Descriptor networks by variant."""
+        dataset = self.dataset
+        found = {variant: find(dataset, DescriptorNet, "", variant) for variant in dataset.variants(DescriptorNet)}
+        return {variant: one for variant, one in list(found.items())[:N_NETWORKS] if one is not None}
 
     @cached_property
     def masks(self) -> dict[str, dict[str, Any]]:
@@ -685,7 +689,7 @@ def _training_plot(curves: list[Any], family: str) -> str:
     )
 
 
-# Reference keypoints and heat maps -----------------------------------------------------------------------------------
+# Reference keypoints -------------------------------------------------------------------------------------------------
 
 
 def reference(chosen: Chosen) -> list[Part]:
@@ -702,7 +706,7 @@ def reference(chosen: Chosen) -> list[Part]:
         tiles: list[Part] = []
         unseen = []
         for (recording, camera, i_frame), indices in by_frame.items():
-            image = _frame_of(chosen.dataset, found.picks[indices[0]])
+            image = frame_of(chosen.dataset, found.picks[indices[0]])
             if image is None:
                 unseen.append(f"{recording}, {camera}, frame {i_frame}")
             elif len(tiles) < 2 * chosen.n_frames:
@@ -731,147 +735,6 @@ def _untitled_if_alone(parts: list[Part]) -> list[Part]:
 
 def _pick_mark(pick: Pick, i: int, colour: draw.Colour) -> draw.Mark:
     return draw.Mark(number=i + 1, pixel=np.array([pick.u, pick.v]), colour=colour)
-
-
-def _frame_of(dataset: Dataset, pick: Pick) -> np.ndarray | None:
-    """The image a keypoint was picked in, or None if the dataset does not hold it."""
-    recording = find_recording(dataset, pick.recording)
-    if recording is None or pick.camera not in recording.camera_names:
-        return None
-    camera = recording.camera(pick.camera)
-    return camera.rgb(pick.frame) if 0 <= pick.frame < camera.n_frames else None
-
-
-def heat_maps(chosen: Chosen) -> list[Part]:
-    """Where the network sees some keypoints in frames of a demonstration, before any filter."""
-
-    def part(variant: str) -> Part | None:
-        found = find(chosen.dataset, ReferenceKeypoints, "", variant)
-        names = [name for name in chosen.demonstrations if find(chosen.dataset, Demonstration, name)]
-        if found is None or not names or not found.picks:
-            return None
-        descriptor = figures.input_variant(chosen.dataset, found, DescriptorNet, variant)
-        if descriptor is None:
-            return {
-                "title": names[0] + f" ({variant})",
-                "why_not": "the descriptor network they were described with is not there",
-            }
-        demonstration = find(chosen.dataset, Demonstration, names[0])
-        assert demonstration is not None, "found above"
-        return _heat_part(chosen, variant, names[0], demonstration, found, descriptor)
-
-    parts = per_item(chosen.variants, part)
-    return [{**one, "title": one["title"].removesuffix(" (main)")} for one in parts] if len(parts) == 1 else parts
-
-
-def _heat_part(
-    chosen: Chosen,
-    variant: str,
-    name: str,
-    demonstration: Recording,
-    reference: ReferenceKeypoints,
-    descriptor: DescriptorNet,
-) -> Part:
-    from bask_data.core.heatmap import softmax_map
-
-    track = find(chosen.dataset, KeypointTrack, name, variant)
-    # As the filter resolves it when it is not given.
-    given = track.manifest.params.get("alpha") if track else None
-    alpha = float(given or (20.0 if track and track.metadata.filter == "expectation" else 4.0))
-    camera = demonstration.cameras[0]
-    scored = TrackScores(chosen.dataset, name, variant) if track else None
-    absent = [_absent(scored, pick.name) for pick in reference.picks]
-    indices = _one_of_each_object(reference.picks, absent)
-    frames = spread_frames(camera.n_frames, N_HEAT_FRAMES)
-    colours = draw.palette(len(reference.picks))
-    rows: list[Part] = [
-        {
-            "number": i + 1,
-            "name": reference.picks[i].name,
-            "colour": draw.css(colours[i]),
-            "crop": _crop(chosen.dataset, reference.picks[i]),
-            "absent": absent[i],
-            "tiles": [],
-        }
-        for i in indices
-    ]
-    distances = _distance_maps(descriptor, reference.descriptors[indices])
-    for i_frame in frames:
-        rgb = camera.rgb(i_frame)
-        distance = distances(rgb)
-        heat, _ = softmax_map(distance, alpha)
-        for row, one, z, i in zip(rows, heat, distance, indices, strict=True):
-            marks = _truth_mark(scored, reference.picks[i].name, camera, i_frame)
-            row["tiles"].append(
-                {
-                    "uri": draw.jpeg_uri(draw.heat_picture(rgb, one, marks, TILE)),
-                    "text": f"frame {i_frame}, nearest {float(z.min()):.2f}",
-                }
-            )
-    return {
-        "title": f"{name}, {camera.name} ({variant})",
-        "rows": rows,
-        "n_left_out": len(reference.picks) - len(indices),
-        "alpha": alpha,
-        "gradient": draw.heat_gradient(),
-        "with_truth": bool(scored is not None and np.isfinite(scored.places).any()),
-        "why_not": "",
-    }
-
-
-def _absent(scored: TrackScores | None, name: str) -> bool:
-    """Whether the labels say that a keypoint's object is not in the demonstration at all."""
-    if scored is None or scored.truth is None or name not in scored.track.names:
-        return False
-    label = scored.known[scored.track.names.index(name)].label
-    return label > 0 and label not in scored.truth.label_names
-
-
-def _one_of_each_object(picks: Sequence[Pick], absent: Sequence[bool]) -> list[int]:
-    """A few keypoints, taking turns between the objects they were picked on; those that cannot be found come last."""
-    turns: dict[int, int] = {}
-    order = []
-    for i, pick in enumerate(picks):
-        turns[pick.instance] = turns.get(pick.instance, 0) + 1
-        order.append((absent[i], turns[pick.instance], i))
-    return sorted(i for _, _, i in sorted(order)[:N_HEATED])
-
-
-def _crop(dataset: Dataset, pick: Pick) -> str:
-    image = _frame_of(dataset, pick)
-    if image is None or not np.isfinite([pick.u, pick.v]).all():
-        return ""
-    half = max(12, image.shape[1] // 14)
-    return draw.jpeg_uri(draw.crop_picture(image, np.array([pick.u, pick.v]), half, 200, WHITE))
-
-
-def _truth_mark(scored: TrackScores | None, name: str, camera: Any, i_frame: int) -> list[draw.Mark]:
-    """Where the keypoint truly is in the image, if that is known."""
-    if scored is None or name not in scored.track.names:
-        return []
-    i = scored.track.names.index(name)
-    pixel = _pixels(scored.places[i : i + 1], camera, i_frame)[0]
-    return [draw.Mark(i + 1, pixel, WHITE)]
-
-
-def _distance_maps(descriptor: DescriptorNet, references: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Gives descriptor distances (k, h, w) of an image to the references, at the network's own resolution."""
-    from bask_data.nn.network import load
-
-    try:
-        network = load(descriptor.path)
-    except Exception as error:  # Whatever a broken file makes safetensors, torch or JSON raise.
-        fix = "run `bask-data validate`."
-        raise BadData(descriptor.path, "", expected="a network that loads", got=str(error)[:200], fix=fix) from error
-    dimension = network.settings.descriptor_dim
-    if references.shape[1] != dimension:
-        raise BadData(
-            descriptor.path,
-            "descriptor_dim",
-            expected=f"{references.shape[1]} as the reference keypoints",
-            got=dimension,
-        )
-    return lambda rgb: network.distance_maps(rgb, references)
 
 
 # Tracks --------------------------------------------------------------------------------------------------------------

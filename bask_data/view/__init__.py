@@ -31,7 +31,7 @@ class Choice:
         items: scenes and demonstrations by name.
         every: shows each so many-th frame.
         n_pairs: most pairs of views whose matches are shown, for each scene.
-        variant: of the keypoints.
+        variant: of descriptor network, reference keypoints and tracks.
     """
 
     items: Sequence[str]

@@ -6,6 +6,7 @@ Every item has a tree of its own, `/<item>`, as items have world frames of their
     world/camera_paths/<camera>
     world/{surface,instances,boxes}            world/matches, matches/{images,lines,points}
     world/{keypoints,spread,keypoint_paths}    world/{gripper,gripper_path}
+    heat/<camera>/<point>/{map,best,truth,error}    heat/reference
     plots/{spread,gripper_width,action}
 
 Times are `frame`, counted from 0, `time` in seconds and, for matches, `pair`.
@@ -23,6 +24,7 @@ from bask_data.report.figures import find_recording
 from bask_data.view import Choice, Shown
 from bask_data.view.demonstrations import draw_demonstration
 from bask_data.view.frames import draw_frames
+from bask_data.view.heat import draw_heat
 from bask_data.view.matches import draw_matches
 from bask_data.view.scenes import draw_scene, first_eye, measured_points, support_plane
 from bask_data.view.sheet import Drawn, Sheet, reading
@@ -50,4 +52,6 @@ def draw_item(recording: rerun.RecordingStream, dataset: Dataset, name: str, cho
         draw_matches(sheet, drawn, dataset, name, source, choice.n_pairs)
     if name in dataset.file.demonstrations:
         draw_demonstration(sheet, drawn, dataset, name, source, choice)
+    if source is not None:
+        draw_heat(sheet, drawn, dataset, name, source, choice)
     return drawn

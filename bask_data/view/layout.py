@@ -1,4 +1,7 @@
-"""The viewer's layout: the scene on the left, images and plots on the right, time below; a tab for each item."""
+"""The viewer's layout: the scene on the left, images and plots on the right, time below; a tab for each item.
+
+Where there are heat maps, all of them are on the right, and images and plots below the scene.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +29,32 @@ def layout(items: Sequence[Drawn]) -> Any:
 def _item(item: Drawn) -> Any:
     import rerun.blueprint as rrb
 
-    right = _right(item)
-    parts = [_scene(item), *([rrb.Vertical(*right)] if right else [])]
+    beside, heat = _beside(item), _heat(item)
+    if heat is not None:
+        one_of = [view for group in beside for view in group]
+        left = rrb.Vertical(_scene(item), rrb.Tabs(*one_of, active_tab=0))
+        return rrb.Horizontal(left, heat, column_shares=[4, 5], name=item.name)
+    groups = [rrb.Tabs(*group, active_tab=0) if len(group) > 1 else group[0] for group in beside]
+    parts = [_scene(item), *([rrb.Vertical(*groups)] if groups else [])]
     return rrb.Horizontal(*parts, column_shares=[5, 4][: len(parts)], name=item.name)
+
+
+def _heat(item: Drawn) -> Any:
+    """All points beside each other, and where they were picked; a tab for each camera. None without any."""
+    import rerun.blueprint as rrb
+
+    cameras = [
+        rrb.Grid(
+            rrb.Spatial2DView(origin=f"/{item.name}/heat/reference", name="picked here"),
+            *[
+                rrb.Spatial2DView(origin=f"/{item.name}/heat/{_escaped(camera)}/{_escaped(point)}", name=point)
+                for point in points
+            ],
+            name=f"Heat maps, {camera}",
+        )
+        for camera, points in item.heated.items()
+    ]
+    return rrb.Tabs(*cameras, active_tab=0) if cameras else None
 
 
 def _scene(item: Drawn) -> Any:
@@ -62,20 +88,18 @@ def _space(item: Drawn, name: str, *, hidden: Sequence[str], depth: bool) -> Any
     )
 
 
-def _right(item: Drawn) -> list[Any]:
+def _beside(item: Drawn) -> list[list[Any]]:
+    """Images, matches and plots; of each group one is seen at a time."""
     import rerun.blueprint as rrb
 
-    parts: list[Any] = []
-    if item.cameras:
-        parts.append(rrb.Tabs(*[_images(item, camera) for camera in item.cameras], active_tab=0))
-    if "matches" in item.layers:
-        parts.append(rrb.Spatial2DView(origin=f"/{item.name}/matches", name="Matches"))
+    images = [_images(item, camera) for camera in item.cameras]
+    matches = [rrb.Spatial2DView(origin=f"/{item.name}/matches", name="Matches")] if "matches" in item.layers else []
     plots = [
         rrb.TimeSeriesView(origin=f"/{item.name}/plots/{layer}", name=title)
         for layer, title in (("gripper_width", "Gripper"), ("spread", "Spread of the keypoints"), ("action", "Action"))
         if layer in item.layers
     ]
-    return [*parts, *([rrb.Tabs(*plots, active_tab=0)] if plots else [])]
+    return [group for group in (images, matches, plots) if group]
 
 
 def _images(item: Drawn, camera: str) -> Any:

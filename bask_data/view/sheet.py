@@ -44,12 +44,14 @@ class Drawn:
 
     Args:
         layers: entities that exist, by their first name below the item or its world.
+        heated: points that have heat maps, by camera.
     """
 
     name: str
     shown: Shown
     cameras: list[str] = field(default_factory=list)
     layers: set[str] = field(default_factory=set)
+    heated: dict[str, list[str]] = field(default_factory=dict)
     eye: Eye | None = None
 
     def note(self, there: bool, layer: str, otherwise: str) -> None:

@@ -301,7 +301,13 @@ def _write_track(out: Path, seen: Views, names: list[str], places: np.ndarray) -
             )
 
 
-def publish_network(dataset: Dataset, loss_name: str = "loss", validated_on: str = "held-out frames of scan-a") -> None:
+def publish_network(
+    dataset: Dataset,
+    loss_name: str = "loss",
+    validated_on: str = "held-out frames of scan-a",
+    variant: str = "main",
+    seed: int = 0,
+) -> None:
     """A small descriptor network nobody trained, whose curve is made up."""
     import torch
 
@@ -311,7 +317,7 @@ def publish_network(dataset: Dataset, loss_name: str = "loss", validated_on: str
         curve = [(step, loss_name, 1.0 / (step + 1)) for step in range(100)]
         curve += [(step, "validation_pck_5", step / 100) for step in range(0, 100, 20)]
         DescriptorNet.write(out, validated_on=validated_on, metrics={"validation_pck_5": 0.8}, curve=curve)
-        torch.manual_seed(0)
+        torch.manual_seed(seed)
         DescriptorNetwork(NetworkSettings("resnet18", descriptor_dim=8, height=32)).save(out)
 
-    publish_artifact(dataset, DescriptorNet, "", fill)
+    publish_artifact(dataset, DescriptorNet, "", fill, variant)

@@ -86,6 +86,21 @@ def test_the_brightest_spot_of_a_heat_map_is_its_maximum():
     assert (abs(u - 20.5), abs(v - 40.5)) < (2, 2)
 
 
+def test_the_best_match_is_a_ring_and_the_truth_a_cross_joined_to_it_unless_hidden():
+    mark = draw.Mark(1, np.array([20.0, 30.0]), (0, 255, 0), truth=np.array([60.0, 30.0]))
+    heat = np.ones((30, 40))
+    bare, drawn, hidden = (
+        draw.heat_picture(GREY, heat, marks, 80, truth_seen=seen)
+        for marks, seen in (([], True), ([mark], True), ([mark], False))
+    )
+    assert (drawn[30, 20] == bare[30, 20]).all(), "the spot itself stays to be seen"
+    assert drawn[30, 13].tolist() == [0, 255, 0]
+    assert drawn[30, 60].tolist() == [255, 255, 255]
+    assert (drawn[30, 35:50] > 240).all()
+    assert hidden[30, 60].tolist() == [128, 128, 128]
+    assert (hidden[30, 35:50] == bare[30, 35:50]).all()
+
+
 def test_a_crop_has_its_pixel_in_the_middle_even_at_the_edge():
     image = GREY.copy()
     image[0, 0] = (0, 255, 0)

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from bask_data.artifact import MANIFEST
-from bask_data.core.geometry import project, transform
-from bask_data.dataset import Dataset
-from bask_data.kinds import KeypointTrack, Pick, ReferenceKeypoints, Truth, VisibleMasks
+from bask_data.core.geometry import invert_rigid, project, transform
+from bask_data.dataset import Dataset, Splits, Variant
+from bask_data.kinds import DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Truth, VisibleMasks
 from bask_data.report import summarise, write_report
 from bask_data.report.page import duration, millimetres, number, percent, size
+from bask_data.report.points import Finder
 from tests.datasets import publish_artifact
 from tests.report.filled import (
     LABELS,
@@ -23,6 +24,7 @@ from tests.report.filled import (
     make_views,
     publish_frames,
     publish_network,
+    publish_truth,
     true_places,
 )
 
@@ -321,7 +323,7 @@ def test_labels_of_other_frames_than_the_track_s_are_not_held_against_it(tmp_pat
 
 
 def test_heat_maps_are_of_keypoints_whose_object_is_there(tmp_path, monkeypatch):
-    monkeypatch.setattr("bask_data.report.sections.N_HEATED", 1)
+    monkeypatch.setattr("bask_data.report.heat.N_POINTS", 1)
     dataset = filled_dataset(tmp_path / "d")
     publish_network(dataset)
     seen = make_views(0.8, 5)
@@ -332,8 +334,60 @@ def test_heat_maps_are_of_keypoints_whose_object_is_there(tmp_path, monkeypatch)
         lambda out: Truth.write(out, {LABELS[1]: "tissue box"}, {"wrist": (5, (96, 128), seen.labels)}),
     )
     html = write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8")
-    assert html.count('alt="heat map of side, frame') == 4
-    assert 'alt="heat map of corner' not in html
+    in_demonstration = html[html.index("demo-a, wrist: a demonstration") :]
+    assert in_demonstration.count('alt="heat map of side, frame') == 4
+    assert 'alt="heat map of corner' not in in_demonstration
+
+
+def test_heat_maps_are_of_all_networks_in_held_out_scenes_first(tmp_path):
+    dataset = filled_dataset(tmp_path / "d")
+    seen = make_views(0.5, 4)
+    for name in ("scan-b", "scan-c"):
+        publish_frames(dataset, name, seen)
+    publish_truth(dataset, "scan-c", seen, "tissue box")
+    dataset.set_splits(Splits(train=("scan-a",), test=("scan-b", "scan-c")))
+    for seed, variant in enumerate(("main", "florence")):
+        dataset.add_variant(DescriptorNet, variant, Variant())
+        publish_network(dataset, variant=variant, seed=seed)
+    html = write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8")
+    html = html[html.index('<section id="heat">') :]
+    page = Page(html[: html.index("</section>") + len("</section>")])
+    titles = ["scan-c, wrist: a held-out scene", "scan-a, wrist: the scan they were picked in", "demo-a, wrist: a demo"]
+    assert sorted(titles, key=page.text.index) == titles, "of scan-b, nobody knows what it shows"
+    alts = [value for tag, name, value in page.attributes if (tag, name) == ("img", "alt")]
+    for point in ("corner", "side"):
+        assert sum(alt.startswith(f"heat map of {point}, frame") for alt in alts) == 2 * (4 + 4 + 4)
+        assert alts.count(f"where {point} was picked") == 3
+    assert "main: α = 4; florence: α = 4" in page.text
+    # The frame that points were picked in says nothing.
+    own = page.text[page.text.index(titles[1]) : page.text.index(titles[2])]
+    assert "frame 2" not in own
+    # What is told of the best match is its distance from where the object's pose puts the point.
+    finder = Finder(dataset, "florence", DescriptorNet(dataset.path(DescriptorNet, "", "florence")), picks_of(dataset))
+    i_frame = 1
+    best = finder.look(seen.views[i_frame].rgb, [0]).best[0]
+    (u, v), _ = project(
+        transform(invert_rigid(seen.world_from_cameras[i_frame]), true_places(make_views(0.3, 6), seen)[0]), seen.K
+    )
+    error = np.linalg.norm(best - [u, v])
+    (told,) = {alt for alt in alts if alt.startswith(f"heat map of corner, frame {i_frame}, {error:.1f} px off")}
+    assert told.endswith(f"nearest {finder.look(seen.views[i_frame].rgb, [0]).nearest[0]:.2f}")
+
+
+def picks_of(dataset: Dataset) -> list[Pick]:
+    return ReferenceKeypoints(dataset.path(ReferenceKeypoints)).picks
+
+
+def test_a_network_that_cannot_be_read_spoils_no_other_s_heat_maps(tmp_path):
+    dataset = filled_dataset(tmp_path / "d")
+    for variant in ("main", "broken"):
+        dataset.add_variant(DescriptorNet, variant, Variant())
+        publish_network(dataset, variant=variant)
+    (dataset.path(DescriptorNet, "", "broken") / "weights.safetensors").write_bytes(b"x" * 50)
+    html = write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8")
+    heat = html[html.index('<section id="heat">') :]
+    assert "This could not be read" in heat
+    assert heat.count('alt="heat map of side, frame') == 8
 
 
 def test_a_broken_manifest_is_listed_as_such(tmp_path):

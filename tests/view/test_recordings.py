@@ -18,20 +18,24 @@ from bask_data.errors import BadData, BaskError, UsageError, WouldOverwrite
 from bask_data.kinds import (
     Correspondences,
     Demonstration,
+    DescriptorNet,
     InstanceRow,
     KeypointTrack,
     ObjectInstances,
     PairRow,
     Reconstruction,
+    ReferenceKeypoints,
     Robot,
     Scan,
     Truth,
     VisibleMasks,
 )
-from bask_data.report.pictures import palette
+from bask_data.report.figures import find_recording
+from bask_data.report.pictures import heat_picture, palette
+from bask_data.report.points import Finder, TruePlaces
 from bask_data.view import Choice, Shown, save_recording
 from tests.datasets import publish_artifact, publish_recording
-from tests.report.filled import HEIGHT, WIDTH, filled_dataset
+from tests.report.filled import HEIGHT, WIDTH, filled_dataset, publish_network
 from tests.view.recordings import Recording, colours, publish_demonstration
 
 SCENE = {
@@ -84,10 +88,14 @@ def test_every_thing_made_is_an_entity_and_what_is_not_made_is_named(shown):
     expected = {f"/scan-a/{name}" for name in SCENE} | {f"/demo-a/{name}" for name in DEMONSTRATION}
     assert saved.entities - {"/__properties"} == expected
     assert found["scan-a"] == Shown(
-        {"wrist": 6}, ["surface", "instances", "frames", "masks", "truth", "matches of 3 of 3 pairs"], []
+        {"wrist": 6},
+        ["surface", "instances", "frames", "masks", "truth", "matches of 3 of 3 pairs"],
+        ["heat maps (bask-data train)"],
     )
     assert found["demo-a"] == Shown(
-        {"wrist": 5}, ["frames", "truth", "keypoints"], ["gripper (only cameras were recorded)"]
+        {"wrist": 5},
+        ["frames", "truth", "keypoints"],
+        ["gripper (only cameras were recorded)", "heat maps (bask-data train)"],
     )
 
 
@@ -111,8 +119,13 @@ def test_what_is_not_made_yet_is_named_with_the_command_that_makes_it(tmp_path):
         "instances (bask-data objects)",
         "masks (bask-data masks)",
         "matches (bask-data correspondences)",
+        "heat maps (bask-data train)",
     ]
-    assert found["b"].missing == ["gripper (only cameras were recorded)", "keypoints (bask-data encode)"]
+    assert found["b"].missing == [
+        "gripper (only cameras were recorded)",
+        "keypoints (bask-data encode)",
+        "heat maps (bask-data train)",
+    ]
 
 
 @pytest.mark.parametrize(("every", "frames"), [(1, [0, 1, 2, 3, 4, 5]), (2, [0, 2, 4]), (4, [0, 4]), (99, [0])])
@@ -367,7 +380,7 @@ def test_the_gripper_moves_and_its_width_and_actions_are_plotted(tmp_path):
     robot = Robot(poses, np.linspace(0, 0.08, 5), np.arange(10.0).reshape(5, 2), ("dx", "grasp"))
     publish_demonstration(dataset, "demo-a", "demo-a", robot)
     found, saved = save(dataset, tmp_path, "demo-a")
-    assert found["demo-a"].missing == []
+    assert found["demo-a"].missing == ["heat maps (bask-data train)"]
     for i in range(5):
         turn = saved.array("/demo-a/world/gripper", "Transform3D:mat3x3", i)[0].reshape(3, 3, order="F")
         np.testing.assert_allclose(turn, poses[i, :3, :3])
@@ -378,6 +391,72 @@ def test_the_gripper_moves_and_its_width_and_actions_are_plotted(tmp_path):
     assert saved.all("/demo-a/plots/action", "SeriesLines:names")[None] == ["dx", "grasp"]
     path = saved.array("/demo-a/world/gripper_path", "LineStrips3D:strips")[0]
     np.testing.assert_allclose(path, poses[:, :3, 3], atol=1e-6)
+
+
+# Heat maps ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def described(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    dataset = filled_dataset(tmp_path_factory.mktemp("described") / "dataset")
+    publish_network(dataset)
+    return dataset
+
+
+def test_each_point_has_its_heat_map_best_match_and_true_place(described, tmp_path):
+    found, saved = save(described, tmp_path, "scan-a", "demo-a")
+    picks = ReferenceKeypoints(described.path(ReferenceKeypoints)).picks
+    finder = Finder(described, "main", DescriptorNet(described.path(DescriptorNet)), picks)
+    states = set()
+    for item, n_frames in (("scan-a", 6), ("demo-a", 5)):
+        assert "heat maps" in found[item].layers
+        recording = find_recording(described, item)
+        assert recording is not None
+        (camera,), places = recording.cameras, TruePlaces(described, picks, item)
+        for i_frame in range(n_frames):
+            sight, truth = finder.look(camera.rgb(i_frame), [0, 1]), places.pixels(camera, i_frame)
+            for i, name in enumerate(("1 corner", "2 side")):
+                place = f"/{item}/heat/wrist/{escaped(name)}"
+                picture = saved.bytes(f"{place}/map", "EncodedImage:blob", i_frame)
+                drawn = heat_picture(camera.rgb(i_frame), sight.heat[i], [], WIDTH)
+                assert alike(cv2.imdecode(picture, cv2.IMREAD_COLOR)[..., ::-1], drawn)
+                (best,) = saved.array(f"{place}/best", "Points2D:positions", i_frame)
+                np.testing.assert_allclose(best, sight.best[i] + 0.5, atol=1e-4)
+                true = saved.all(f"{place}/truth", "Points2D:positions")[i_frame]
+                lines = saved.all(f"{place}/error", "LineStrips2D:strips")[i_frame]
+                states.add(truth.states[i])
+                if truth.states[i] == "out of view":
+                    assert (true, lines) == ([], [])
+                    continue
+                np.testing.assert_allclose(true, [truth.uv[i] + 0.5], atol=1e-3)
+                assert len(lines) == (truth.states[i] == "seen")
+                if lines:
+                    np.testing.assert_allclose(lines[0], [best, true[0]], atol=1e-3)
+    assert {"seen", "hidden"} <= states
+    reference = saved.all("/scan-a/heat/reference", "EncodedImage:blob")[None]
+    assert cv2.imdecode(np.array(reference[0], np.uint8), cv2.IMREAD_COLOR).shape == (480, 640, 3)
+
+
+def escaped(name: str) -> str:
+    return name.replace(" ", "\\ ")
+
+
+def test_of_long_recordings_some_frames_have_heat_maps(described, tmp_path, monkeypatch):
+    monkeypatch.setattr("bask_data.view.heat.N_FRAMES", 2)
+    _, saved = save(described, tmp_path, "scan-a", every=2)
+    assert sorted(saved.all(f"/scan-a/heat/wrist/{escaped('1 corner')}/map", "EncodedImage:blob")) == [0, 4]
+
+
+def test_points_of_objects_that_are_not_there_have_no_heat_maps(tmp_path):
+    dataset = filled_dataset(tmp_path / "d")
+    publish_network(dataset)
+    size = {"wrist": (5, (HEIGHT, WIDTH), lambda _: np.zeros((HEIGHT, WIDTH), np.uint8))}
+    for names, points in (({1: "tissue box"}, ["2 side"]), ({}, [])):
+        publish_artifact(dataset, Truth, "demo-a", lambda out, names=names: Truth.write(out, names, size))
+        found, saved = save(dataset, tmp_path, "demo-a")
+        there = {path.split("/")[4] for path in saved.entities if path.startswith("/demo-a/heat/wrist/")}
+        assert there == {escaped(point) for point in points}
+    assert "heat maps (none of the points' objects is here)" in found["demo-a"].missing
 
 
 # Files ----------------------------------------------------------------------------------------------------------------

@@ -1,0 +1,342 @@
+"""Reference points: where they were picked, where they truly are in other views, and where a network sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from bask_data.core import scores
+from bask_data.core.geometry import in_image, invert_rigid, project, scale_pixels, transform, unproject
+from bask_data.core.heatmap import softmax_map
+from bask_data.dataset import Dataset
+from bask_data.errors import BadData
+from bask_data.kinds import Camera, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Scan, Truth, VisibleMasks
+from bask_data.report.figures import find, find_recording, find_truth, input_variant, spread_frames
+
+N_POINTS = 16
+"""Points chosen where no reference keypoints are there."""
+N_LOOKED_AT = 24
+"""Frames of a scene among which the one with most to pick from is looked for."""
+BORDERS = (0.03, 0.015, 0.0)
+"""Distances of such points from a mask's edge, as shares of the image's height; the next where an object is slim."""
+HIDDEN = 0.02
+"""Metres: a point is hidden where what the view shows is nearer than it by more than this."""
+ALPHA = 4.0
+"""Temperature of the heat maps where nothing says with which the network is used."""
+SEEN, BEHIND, OUTSIDE, UNKNOWN = "seen", "hidden", "out of view", "unknown"
+
+
+# Points --------------------------------------------------------------------------------------------------------------
+
+
+def reference_points(dataset: Dataset, variants: Sequence[str]) -> list[Pick]:
+    """The picks of the first of these variants that has reference keypoints, or else some well inside the objects of
+    one frame of the first training scene: all networks are asked for the same points."""
+    for variant in variants:
+        found = find(dataset, ReferenceKeypoints, "", variant)
+        if found is not None and found.picks:
+            return found.picks
+    scenes = [*dataset.file.splits.train, *dataset.items("scene")]
+    for name in dict.fromkeys(scenes):
+        scan, masks = find(dataset, Scan, name), find(dataset, VisibleMasks, name)
+        if scan is not None and masks is not None and masks.n_instances:
+            return _inner_points(scan, masks)
+    return []
+
+
+def _inner_points(scan: Scan, masks: VisibleMasks) -> list[Pick]:
+    """Points of the frame that shows most of all objects, spread over each of them."""
+    from bask_data.nn.selection import inner_pixels, spread_out
+
+    camera, i_frame = _fullest_frame(scan, masks)
+    depth, instance = camera.depth(i_frame), masks.camera(camera.name).instance(i_frame)
+    shown = [int(i) for i in np.unique(instance) if i]
+    picks = []
+    for order, i in enumerate(shown):
+        n = N_POINTS // len(shown) + (order < N_POINTS % len(shown))
+        uv, rng = np.zeros((0, 2)), np.random.default_rng(i)
+        for border in BORDERS:
+            if len(uv) < n:
+                uv = inner_pixels(instance == i, depth, border * camera.height, depth.size, rng)
+        if not len(uv) or not n:
+            continue
+        points = _lifted(camera, i_frame, uv, depth)
+        for j, row in enumerate(spread_out(points, np.zeros(len(uv)), min(n, len(uv)))):
+            (u, v), (x, y, z) = uv[row].tolist(), points[row].tolist()
+            where = {"recording": scan.path.name, "camera": camera.name, "frame": i_frame, "u": u, "v": v}
+            picks.append(Pick(name=f"object_{i}_{j}", instance=i, point_world=(x, y, z), **where))
+    return picks
+
+
+def _fullest_frame(scan: Scan, masks: VisibleMasks) -> tuple[Camera, int]:
+    """A large object must not outweigh a small one: their sizes count by the length of their sides."""
+    best = (-1.0, scan.cameras[0], 0)
+    for camera in scan.cameras:
+        for i_frame in spread_frames(camera.n_frames, N_LOOKED_AT):
+            sizes = np.bincount(masks.camera(camera.name).instance(i_frame).ravel(), minlength=2)[1:]
+            best = max(best, (float(np.sqrt(sizes).sum()), camera, i_frame), key=lambda one: one[0])
+    return best[1], best[2]
+
+
+def _lifted(camera: Camera, i_frame: int, uv: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    column, row = uv.astype(int).T
+    return transform(camera.world_from_cameras[i_frame], unproject(uv, depth[row, column].astype(np.float64), camera.K))
+
+
+def frame_of(dataset: Dataset, pick: Pick) -> np.ndarray | None:
+    """The image a point was picked in, or None if the dataset does not hold it, or it has no such pixel."""
+    recording = find_recording(dataset, pick.recording)
+    if recording is None or pick.camera not in recording.camera_names:
+        return None
+    camera = recording.camera(pick.camera)
+    return camera.rgb(pick.frame) if 0 <= pick.frame < camera.n_frames else None
+
+
+# Truth ---------------------------------------------------------------------------------------------------------------
+
+
+def picked_label(dataset: Dataset, pick: Pick) -> int:
+    """The true label of the object a point was picked on: 0 is background, -1 unknown."""
+    truth = find_truth(dataset, pick.recording)
+    if truth is None or pick.camera not in truth.camera_names:
+        return -1
+    try:
+        labels = truth.instance(pick.camera, pick.frame)
+    except IndexError:
+        return -1
+    return int(scores.label_at(labels, np.array([[pick.u, pick.v]]))[0])
+
+
+def picked_point(dataset: Dataset, pick: Pick) -> np.ndarray | None:
+    """Where the picked point is in its recording's world, metres: by exact depth and camera where they are known."""
+    truth, recording = find_truth(dataset, pick.recording), find_recording(dataset, pick.recording)
+    if truth is not None and recording is not None and truth.has_depth and pick.camera in truth.camera_names:
+        uv = np.array([[pick.u, pick.v]])
+        depth, labels = truth.depth(pick.camera, pick.frame), truth.instance(pick.camera, pick.frame)
+        z = scores.true_depth(depth, labels, uv)
+        if z[0] > 0:
+            world_from_camera = truth.world_from_cameras(pick.camera)[pick.frame]
+            return transform(world_from_camera, unproject(uv, z, recording.camera(pick.camera).K))[0]
+    return None if pick.point_world is None else np.array(pick.point_world, dtype=np.float64)
+
+
+def label_elsewhere(picked_in: Truth | None, label: int, here: Truth | None) -> int:
+    """The label here of what has another recording's label: objects are known by their names, as each recording may
+    number its own; -1 where it is not here."""
+    name = picked_in.label_names.get(label) if picked_in else None
+    found = [number for number, other in sorted(here.label_names.items()) if other == name] if here else []
+    return -1 if name is None or not found else label if label in found else found[0]
+
+
+def object_poses(truth: Truth, label: int) -> np.ndarray | None:
+    """(t, 4, 4), or (1, 4, 4) of what stands still: world from object; None where it is not known."""
+    moving = truth.world_from_objects
+    if moving is not None and label in truth.metadata.object_labels:
+        return moving[:, truth.metadata.object_labels.index(label)]
+    still = truth.metadata.world_from_object.get(label)
+    return None if still is None else np.array(still, dtype=np.float64)[None]
+
+
+@dataclass(frozen=True)
+class TruePixels:
+    """Where k points are in one frame.
+
+    Args:
+        uv: (k, 2) pixels; NaN where that is not known, or behind the camera.
+        states: of each: SEEN, BEHIND something, OUTSIDE the image, or UNKNOWN.
+    """
+
+    uv: np.ndarray
+    states: list[str]
+
+
+class TruePlaces:
+    """Where points truly are in a recording: in their own scan by the cameras, elsewhere by the poses of objects."""
+
+    def __init__(self, dataset: Dataset, picks: Sequence[Pick], name: str) -> None:
+        self._dataset, self._picks, self._name = dataset, picks, name
+        self._truth = find_truth(dataset, name)
+
+    @cached_property
+    def places(self) -> list[np.ndarray | None]:
+        """Of each point (t, 3) or, of what stands still, (1, 3), metres, world; None where not known."""
+        return [self._place(pick) for pick in self._picks]
+
+    @cached_property
+    def absent(self) -> list[bool]:
+        """Whether the labels say that a point's object is not in this recording at all."""
+        return [self._is_absent(pick) for pick in self._picks]
+
+    def _is_absent(self, pick: Pick) -> bool:
+        label = picked_label(self._dataset, pick)
+        if self._truth is None or label <= 0 or pick.recording == self._name:
+            return False
+        return label_elsewhere(find_truth(self._dataset, pick.recording), label, self._truth) < 0
+
+    def _place(self, pick: Pick) -> np.ndarray | None:
+        point = picked_point(self._dataset, pick)
+        if point is None:
+            return None
+        if pick.recording == self._name and self._name in self._dataset.file.scenes:
+            return point[None]
+        there, label = find_truth(self._dataset, pick.recording), picked_label(self._dataset, pick)
+        label_here = label_elsewhere(there, label, self._truth)
+        if there is None or self._truth is None or label <= 0 or label_here < 0:
+            return None
+        poses_there, poses_here = object_poses(there, label), object_poses(self._truth, label_here)
+        if poses_there is None or poses_here is None:
+            return None
+        point_object = transform(invert_rigid(poses_there[min(pick.frame, len(poses_there) - 1)]), point)
+        return np.stack([transform(world_from_object, point_object) for world_from_object in poses_here])
+
+    def _points_camera(self, camera: Camera, i_frame: int) -> np.ndarray:
+        """(k, 3) metres, camera frame; NaN where not known."""
+        truth = self._truth
+        exact = truth is not None and truth.has_depth and camera.name in truth.camera_names
+        poses = truth.world_from_cameras(camera.name) if exact and truth is not None else camera.world_from_cameras
+        unknown = np.full(3, np.nan)
+        points = [unknown if one is None else one[min(i_frame, len(one) - 1)] for one in self.places]
+        return transform(invert_rigid(poses[i_frame]), np.array(points).reshape(-1, 3))
+
+    def in_view(self, camera: Camera, i_frame: int) -> np.ndarray:
+        """(k,) bool: points whose place is in the image; something may be in front of it."""
+        uv, _ = project(self._points_camera(camera, i_frame), camera.K)
+        return in_image(uv, camera.height, camera.width)
+
+    def pixels(self, camera: Camera, i_frame: int) -> TruePixels:
+        """Where the points are in a frame, and whether it shows them."""
+        points = self._points_camera(camera, i_frame)
+        uv, z = project(points, camera.K)
+        inside = in_image(uv, camera.height, camera.width)
+        depth = self._depth(camera, i_frame)
+        u, v = np.rint(np.where(inside[:, None], uv, 0)).astype(int).T
+        shown = depth[v.clip(0, depth.shape[0] - 1), u.clip(0, depth.shape[1] - 1)]
+        hidden = inside & (shown > 0) & (z - shown > HIDDEN)
+        known = np.isfinite(points).all(axis=1)
+        columns = zip(known, inside, hidden, strict=True)
+        states = [UNKNOWN if not k else OUTSIDE if not i else BEHIND if h else SEEN for k, i, h in columns]
+        return TruePixels(uv, states)
+
+    def _depth(self, camera: Camera, i_frame: int) -> np.ndarray:
+        truth = self._truth
+        if truth is not None and truth.has_depth and camera.name in truth.camera_names:
+            return truth.depth(camera.name, i_frame)
+        return camera.depth(i_frame)
+
+
+# Networks ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Where a network sees k points in one frame.
+
+    Args:
+        heat: (k, h, w) probabilities, at the network's own resolution.
+        nearest: (k,) smallest descriptor distance in the frame.
+        best: (k, 2) the pixel that has it, in pixels of the frame.
+    """
+
+    heat: np.ndarray
+    nearest: np.ndarray
+    best: np.ndarray
+
+
+class Finder:
+    """A descriptor network that looks for points."""
+
+    def __init__(self, dataset: Dataset, variant: str, descriptor: DescriptorNet, picks: Sequence[Pick]) -> None:
+        """Describe the points where they were picked.
+
+        Raises:
+            BadData: the network does not load, or does not fit the reference keypoints.
+        """
+        from bask_data.nn.network import load
+
+        try:
+            self._network = load(descriptor.path)
+        except Exception as error:  # Whatever a broken file makes safetensors, torch or JSON raise.
+            fix = "run `bask-data validate`."
+            raise BadData(
+                descriptor.path, "", expected="a network that loads", got=str(error)[:200], fix=fix
+            ) from error
+        self.descriptors = self._described(dataset, variant, descriptor, picks)
+        """(k, d); NaN for points in images that are not here."""
+        self.alpha = temperature(dataset, variant, descriptor)
+
+    def _described(
+        self, dataset: Dataset, variant: str, descriptor: DescriptorNet, picks: Sequence[Pick]
+    ) -> np.ndarray:
+        kept = find(dataset, ReferenceKeypoints, "", variant)
+        if kept is not None and kept.picks == list(picks):
+            made_with = input_variant(dataset, kept, DescriptorNet, variant)
+            if made_with is not None and made_with.path == descriptor.path:
+                return self._fitting(descriptor, kept.descriptors)
+        found = np.full((len(picks), self._network.settings.descriptor_dim), np.nan, np.float32)
+        by_frame: dict[tuple[str, str, int], list[int]] = {}
+        for i, pick in enumerate(picks):
+            by_frame.setdefault((pick.recording, pick.camera, pick.frame), []).append(i)
+        for indices in by_frame.values():
+            image = frame_of(dataset, picks[indices[0]])
+            uv = np.array([[picks[i].u, picks[i].v] for i in indices], np.float32)
+            inside = in_image(uv, *image.shape[:2]) if image is not None else np.zeros(len(uv), bool)
+            if image is not None and inside.any():
+                rows = np.array(indices)[inside]
+                found[rows] = self._network.descriptors_at(image, uv[inside]).cpu().numpy()
+        return found
+
+    def _fitting(self, descriptor: DescriptorNet, references: np.ndarray) -> np.ndarray:
+        dimension = self._network.settings.descriptor_dim
+        if references.shape[1] != dimension:
+            raise BadData(
+                descriptor.path,
+                "descriptor_dim",
+                expected=f"{references.shape[1]} as the reference keypoints",
+                got=dimension,
+            )
+        return references
+
+    @property
+    def described(self) -> np.ndarray:
+        """(k,) bool: points that can be looked for."""
+        return np.isfinite(self.descriptors).all(axis=1)
+
+    def look(self, rgb: np.ndarray, chosen: Sequence[int]) -> Sight:
+        """Look for some of the points in an image; those chosen must have been described."""
+        distance = self._network.distance_maps(rgb, self.descriptors[list(chosen)])
+        k, height, width = distance.shape
+        heat, _ = softmax_map(distance, self.alpha)
+        flat = distance.reshape(k, -1)
+        row, column = np.divmod(flat.argmin(axis=1), width)
+        best = scale_pixels(np.stack([column, row], axis=1).astype(np.float64), (height, width), rgb.shape[:2])
+        return Sight(heat, flat.min(axis=1), best)
+
+
+def network_of(dataset: Dataset, variant: str) -> DescriptorNet | None:
+    """The descriptor network of a variant, or the one that its reference keypoints or tracks were made with."""
+    own = find(dataset, DescriptorNet, "", variant) if variant in dataset.variants(DescriptorNet) else None
+    if own is not None:
+        return own
+    for artifact in (find(dataset, ReferenceKeypoints, "", variant), *_tracks(dataset, variant)):
+        if artifact is not None:
+            return input_variant(dataset, artifact, DescriptorNet, "main")
+    return None
+
+
+def _tracks(dataset: Dataset, variant: str) -> list[KeypointTrack]:
+    found = [find(dataset, KeypointTrack, name, variant) for name in dataset.items("demonstration")]
+    return [one for one in found if one is not None]
+
+
+def temperature(dataset: Dataset, variant: str, descriptor: DescriptorNet) -> float:
+    """alpha of the heat maps softmax(-alpha z): that of the tracks made of the variant, or else of its training."""
+    for track in _tracks(dataset, variant):
+        given = track.manifest.params.get("alpha")
+        # As the filters resolve it when it is not given.
+        return float(given or (20.0 if track.metadata.filter == "expectation" else ALPHA))
+    params = descriptor.manifest.params
+    # Only a network that was trained on heat maps knows one.
+    return float(params.get("alpha") or ALPHA) if params.get("loss") == "infonce" else ALPHA

@@ -1,0 +1,244 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bask_data.core.geometry import in_image, invert_rigid, project, transform
+from bask_data.dataset import Dataset, Variant
+from bask_data.errors import BadData
+from bask_data.kinds import DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Truth, VisibleMasks
+from bask_data.kinds.truth import TruthMetadata
+from bask_data.report.figures import find, find_recording
+from bask_data.report.points import (
+    ALPHA,
+    BEHIND,
+    OUTSIDE,
+    SEEN,
+    UNKNOWN,
+    Finder,
+    TruePlaces,
+    network_of,
+    reference_points,
+)
+from tests.datasets import publish_artifact
+from tests.report.filled import HEIGHT, LABELS, WIDTH, Views, filled_dataset, make_views, publish_network, true_places
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    dataset = filled_dataset(tmp_path_factory.mktemp("full") / "dataset")
+    publish_network(dataset)
+    return dataset
+
+
+def picks_of(dataset: Dataset) -> list[Pick]:
+    return ReferenceKeypoints(dataset.path(ReferenceKeypoints)).picks
+
+
+def camera_of(dataset: Dataset, name: str):
+    recording = find_recording(dataset, name)
+    assert recording is not None
+    return recording.cameras[0]
+
+
+def expected_pixels(points: np.ndarray, seen: Views, i_frame: int) -> tuple[np.ndarray, list[str]]:
+    """By the scene's own depth."""
+    uv, z = project(transform(invert_rigid(seen.world_from_cameras[i_frame]), points), seen.K)
+    states = []
+    for (u, v), far, inside in zip(uv, z, in_image(uv, HEIGHT, WIDTH), strict=True):
+        if not inside:
+            states.append(OUTSIDE)
+        else:
+            states.append(BEHIND if far > seen.views[i_frame].depth[round(v), round(u)] + 0.02 else SEEN)
+    return uv, states
+
+
+# Truth ----------------------------------------------------------------------------------------------------------------
+
+
+def test_a_point_is_where_the_cameras_and_poses_of_objects_put_it(dataset):
+    scan, demonstration = make_views(0.3, 6), make_views(0.8, 5)
+    picks = picks_of(dataset)
+    points = np.array([pick.point_world for pick in picks])
+    found = set()
+    for name, seen, places in (("scan-a", scan, points), ("demo-a", demonstration, true_places(scan, demonstration))):
+        true = TruePlaces(dataset, picks, name)
+        for i_frame in range(len(seen.views)):
+            uv, states = expected_pixels(places, seen, i_frame)
+            told = true.pixels(camera_of(dataset, name), i_frame)
+            np.testing.assert_allclose(told.uv, uv, atol=0.05)
+            assert told.states == states
+            assert true.in_view(camera_of(dataset, name), i_frame).tolist() == [one != OUTSIDE for one in states]
+            found |= set(states)
+    np.testing.assert_allclose(true.places[0][0], places[0], atol=1e-3)
+    assert {SEEN, BEHIND} <= found
+
+
+def test_a_point_outside_the_image_is_said_to_be_so(dataset):
+    picks = [picks_of(dataset)[0].model_copy(update={"point_world": (9.0, 0.0, 0.0)})]
+    told = TruePlaces(dataset, picks, "scan-a").pixels(camera_of(dataset, "scan-a"), 0)
+    assert told.states == [OUTSIDE]
+
+
+def test_objects_are_known_by_their_names_not_their_numbers(tmp_path):
+    dataset = filled_dataset(tmp_path / "d")
+    scan, demonstration = make_views(0.3, 6), make_views(0.8, 5)
+    renumbered = dict(zip(LABELS[::-1], demonstration.world_from_boxes, strict=True))
+
+    def fill(out: Path) -> None:
+        names = {LABELS[1]: "stems", LABELS[0]: "tissue box"}
+        poses = {label: pose.tolist() for label, pose in renumbered.items()}
+        Truth.write(out, names, {"wrist": (5, (HEIGHT, WIDTH), demonstration.labels)}, poses)
+
+    publish_artifact(dataset, Truth, "demo-a", fill)
+    places = TruePlaces(dataset, picks_of(dataset), "demo-a").places
+    np.testing.assert_allclose(np.concatenate(places), true_places(scan, demonstration), atol=1e-3)
+
+
+def test_objects_that_move_take_their_points_along(tmp_path):
+    dataset = filled_dataset(tmp_path / "d")
+    scan, demonstration = make_views(0.3, 6), make_views(0.8, 5)
+    poses = np.tile(np.stack(demonstration.world_from_boxes), (5, 1, 1, 1))
+    poses[:, 0, 2, 3] += 0.02 * np.arange(5)
+    noisy = demonstration.world_from_cameras + np.array([[0, 0, 0, 0.001]] * 3 + [[0, 0, 0, 0]])
+
+    def fill(out: Path) -> None:
+        metadata = TruthMetadata(
+            label_names=dict(zip(LABELS, ("stems", "tissue box"), strict=True)), object_labels=list(LABELS)
+        )
+        with Truth.writer(out, metadata, poses) as writer:
+            camera = writer.camera("wrist", 5, (HEIGHT, WIDTH), 1e-4)
+            for i in range(5):
+                depth = np.round(demonstration.views[i].depth * 1e4).astype(np.uint16)
+                camera.append(demonstration.labels(i), depth, noisy[i])
+
+    publish_artifact(dataset, Truth, "demo-a", fill)
+    true = TruePlaces(dataset, picks_of(dataset), "demo-a")
+    still = true_places(scan, demonstration)
+    for i in range(5):
+        places = still + np.array([[0, 0, 0.02 * i], [0, 0, 0]])
+        expected = project(transform(invert_rigid(noisy[i]), places), demonstration.K)[0]
+        told = true.pixels(camera_of(dataset, "demo-a"), i)
+        np.testing.assert_allclose(told.uv, expected, atol=0.05)
+
+
+def test_what_is_not_known_is_said_so(tmp_path):
+    dataset = filled_dataset(tmp_path / "d")
+    seen = make_views(0.8, 5)
+    labels = {"wrist": (5, (HEIGHT, WIDTH), seen.labels)}
+    publish_artifact(dataset, Truth, "demo-a", lambda out: Truth.write(out, {LABELS[0]: "stems"}, labels))
+    true = TruePlaces(dataset, picks_of(dataset), "demo-a")
+    assert true.pixels(camera_of(dataset, "demo-a"), 0).states == [UNKNOWN, UNKNOWN]
+    assert true.absent == [False, True]
+    assert true.places == [None, None]
+
+
+# Networks -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_network_finds_a_point_in_the_image_it_was_picked_in(tmp_path):
+    dataset = filled_dataset(tmp_path / "d")
+    publish_network(dataset)
+    dataset.add_variant(DescriptorNet, "other", Variant())
+    publish_network(dataset, variant="other")
+    picks = picks_of(dataset)
+    descriptor = find(dataset, DescriptorNet, "", "other")
+    assert descriptor is not None
+    finder = Finder(dataset, "other", descriptor, picks)
+    assert finder.described.all()
+    sight = finder.look(camera_of(dataset, "scan-a").rgb(2), [1, 0])
+    np.testing.assert_allclose(sight.best, [[picks[i].u, picks[i].v] for i in (1, 0)], atol=3.0)
+    assert (sight.nearest < 0.1).all()
+    np.testing.assert_allclose(sight.heat.sum(axis=(1, 2)), 1.0)
+    for heat, best in zip(sight.heat, sight.best, strict=True):
+        v, u = np.unravel_index(heat.argmax(), heat.shape)
+        np.testing.assert_allclose((np.array([u, v]) + 0.5) / heat.shape[::-1], (best + 0.5) / [WIDTH, HEIGHT])
+
+
+def test_the_reference_descriptors_of_a_network_s_own_variant_are_taken_as_they_are(dataset):
+    descriptor = find(dataset, DescriptorNet)
+    assert descriptor is not None
+    finder = Finder(dataset, "main", descriptor, picks_of(dataset))
+    np.testing.assert_array_equal(finder.descriptors, np.eye(2, 8))
+
+
+def test_points_of_images_that_are_not_there_are_not_described(dataset):
+    known = picks_of(dataset)[0]
+    strange = [
+        known,
+        known.model_copy(update={"recording": "nowhere"}),
+        known.model_copy(update={"frame": 99}),
+        known.model_copy(update={"u": float("nan")}),
+        known.model_copy(update={"v": 1e6}),
+    ]
+    descriptor = find(dataset, DescriptorNet)
+    assert descriptor is not None
+    assert Finder(dataset, "main", descriptor, strange).described.tolist() == [True, False, False, False, False]
+
+
+def test_a_network_that_does_not_load_or_fit_is_named(tmp_path):
+    dataset = filled_dataset(tmp_path / "d")
+    publish_network(dataset)
+    descriptor = find(dataset, DescriptorNet)
+    assert descriptor is not None
+    picks = picks_of(dataset)
+    publish_artifact(
+        dataset,
+        ReferenceKeypoints,
+        "",
+        lambda out: ReferenceKeypoints.write(out, descriptors=np.zeros((2, 3), np.float32), picks=picks),
+    )
+    with pytest.raises(BadData, match="descriptor_dim: expected 3 as the reference keypoints, got 8"):
+        Finder(dataset, "main", descriptor, picks)
+    (descriptor.path / "weights.safetensors").write_bytes(b"x" * 50)
+    with pytest.raises(BadData, match="expected a network that loads, got .*fix: run `bask-data validate`"):
+        Finder(dataset, "main", descriptor, picks)
+
+
+def test_a_variant_of_tracks_alone_is_seen_with_the_network_it_was_made_with(tmp_path):
+    dataset = filled_dataset(tmp_path / "d")
+    assert network_of(dataset, "main") is None
+    publish_network(dataset)
+    dataset.add_variant(KeypointTrack, "expectation", Variant())
+    track = find(dataset, KeypointTrack, "demo-a")
+    assert track is not None
+    target = dataset.path(KeypointTrack, "demo-a", "expectation")
+    target.parent.mkdir(parents=True)
+    target.symlink_to(track.path.resolve())
+    for variant in ("main", "expectation"):
+        network = network_of(dataset, variant)
+        assert network is not None
+        assert network.path == dataset.path(DescriptorNet)
+    assert Finder(dataset, "main", DescriptorNet(dataset.path(DescriptorNet)), picks_of(dataset)).alpha == ALPHA
+
+
+# Points ---------------------------------------------------------------------------------------------------------------
+
+
+def test_the_points_are_those_of_the_first_variant_that_has_reference_keypoints(dataset):
+    assert reference_points(dataset, ["other", "main"]) == picks_of(dataset)
+
+
+def test_without_reference_keypoints_points_lie_well_inside_the_objects_of_one_frame(dataset):
+    picks = reference_points(dataset, ["other"])
+    assert [sum(pick.instance == i for pick in picks) for i in (1, 2)] == [8, 8]
+    (where,) = {(pick.recording, pick.camera, pick.frame) for pick in picks}
+    assert where[:2] == ("scan-a", "wrist")
+    instance = VisibleMasks(dataset.path(VisibleMasks, "scan-a")).camera("wrist").instance(where[2])
+    for pick in picks:
+        around = instance[round(pick.v) - 1 : round(pick.v) + 2, round(pick.u) - 1 : round(pick.u) + 2]
+        assert (around == pick.instance).all()
+    scan = make_views(0.3, 6)
+    uv, states = expected_pixels(np.array([pick.point_world for pick in picks]), scan, where[2])
+    np.testing.assert_allclose(uv, [[pick.u, pick.v] for pick in picks], atol=0.05)
+    assert states == [SEEN] * 16
+    for i in (1, 2):
+        mine = uv[[pick.instance == i for pick in picks]]
+        extent = np.ptp(np.argwhere(instance == i), axis=0).max()
+        assert np.ptp(mine, axis=0).max() > 0.5 * extent, "spread over the object"
+
+
+def test_an_empty_dataset_has_no_points(tmp_path):
+    assert reference_points(Dataset.create(tmp_path / "d"), ["main"]) == []
