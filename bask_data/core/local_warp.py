@@ -83,7 +83,7 @@ def visible_share(
 ) -> float:
     """The share of an object's image that nothing else hides; NaN where none of it is in the image.
 
-    Hidden are the pixels onto which its points fall, or beside which they do, and where something else is seen nearer.
+    Hidden are the pixels onto which its points fall, or between them, and where something else is seen nearer.
 
     Args:
         points_world: of its whole surface, in the image not farther apart than two or three pixels.
@@ -93,10 +93,12 @@ def visible_share(
     uv, z = project(transform(invert_rigid(world_from_camera), points_world), K)
     inside = in_image(uv, height, width)
     u, v = np.rint(uv[inside]).astype(np.int64).clip(0, [width - 1, height - 1]).T
-    nearest = np.full((height, width), np.inf, np.float32)
-    np.minimum.at(nearest, (v, u), z[inside].astype(np.float32))
-    nearest = cv2.erode(nearest, np.ones((3, 3), np.uint8))
+    inverse = np.zeros((height, width), np.float32)
+    np.maximum.at(inverse, (v, u), (1 / z[inside]).astype(np.float32))
+    # Closing fills the gaps between points and leaves the outline where it is.
+    inverse = cv2.morphologyEx(inverse, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     shown = labels == label
-    hidden: Bool[ndarray, "h w"] = ~shown & np.isfinite(nearest) & (depth > 0) & (depth < nearest - tolerance)
+    in_front = (depth > 0) & (inverse * (depth + np.float32(tolerance)) < 1)
+    hidden: Bool[ndarray, "h w"] = ~shown & (inverse > 0) & in_front
     n_shown, n_hidden = np.count_nonzero(shown), np.count_nonzero(hidden)
     return n_shown / (n_shown + n_hidden) if n_shown + n_hidden else float("nan")
