@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -54,8 +55,9 @@ class Group:
         """The network as it is called in training: its gradients are means over the processes."""
         if self.size == 1:
             return network
-        # Statistics of batches are each process's own. Those of the first are kept, and training does not read them.
-        return DistributedDataParallel(network, broadcast_buffers=False, gradient_as_bucket_view=True)
+        # Of a kernel of one pixel, torch takes other strides for other layouts, and says so for each process.
+        warnings.filterwarnings("ignore", "Grad strides do not match bucket view strides")
+        return DistributedDataParallel(network, gradient_as_bucket_view=True)
 
     def sending(self, model: nn.Module, wanted: bool) -> AbstractContextManager[None]:
         """Whether the gradients of a backward pass in here are exchanged, or just added to this process's own."""

@@ -3,19 +3,31 @@ from __future__ import annotations
 import json
 import os
 import re
+import struct
+import typing
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from filelock import FileLock
 
 from bask_data.dataset import Dataset, Splits
-from bask_data.kinds import Correspondences, DescriptorNet, Scan, VisibleMasks
+from bask_data.kinds import DescriptorNet
+from bask_data.nn.augment import AugmentSettings
+from bask_data.nn.backbones import BACKBONES
+from bask_data.nn.loss import ContrastiveSettings
 from bask_data.nn.network import load
+from bask_data.nn.processes import Group
 from bask_data.nn.resnet import DenseResNet
+from bask_data.nn.sampling import SampleSettings
+from bask_data.nn.state import saved_step
+from bask_data.nn.training import TrainingSettings
 from bask_data.stage import make, plan
-from bask_data.stages.train import Pairs, ScanPairs, train
-from tests.nn.pairs import SIZE, ScenePairs
+from bask_data.stages import train as train_module
+from bask_data.stages.train import TrainParams, train
+from tests.nn.pairs import SIZE
 from tests.stages.learning import SMALL, learning_dataset
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -85,63 +97,228 @@ def test_nothing_held_out_is_said_and_gives_no_metrics(tmp_path):
     assert not [name for name in metadata.metrics if name.startswith("validation")]
 
 
-def test_pairs_are_those_of_the_correspondences(dataset):
-    pairs = scan_pairs(dataset)
-    source = ScenePairs(5, 0)
-    assert pairs.n_pairs == source.n_pairs
-    for i in (0, 7, 19):
-        found, known = pairs.pair(i), source.pair(i)
-        for name in ("rgb_a", "rgb_b", "instance_a", "instance_b", "instance", "uv_a", "uv_b"):
-            np.testing.assert_allclose(getattr(found, name), getattr(known, name), atol=1e-5)
+def scalars(folder: Path) -> dict[tuple[str, int], float]:
+    """What TensorBoard shows of a run: a file's start takes back what earlier files say of its step and later ones."""
+    from tensorboardX.proto.event_pb2 import Event
+
+    found: dict[tuple[str, int], float] = {}
+    for file in sorted(folder.glob("events.out.tfevents.*"), key=lambda file: file.stat().st_mtime_ns):
+        content, at = file.read_bytes(), 0
+        while at < len(content):
+            (length,) = struct.unpack_from("<Q", content, at)
+            event = Event.FromString(content[at + 12 : at + 12 + length])
+            at += 12 + length + 4
+            if event.HasField("session_log"):
+                found = {key: value for key, value in found.items() if key[1] < event.step}
+            found |= {(value.tag, event.step): value.simple_value for value in event.summary.value}
+    return found
 
 
-def test_matches_follow_when_frames_are_shrunk(dataset):
-    pairs = scan_pairs(dataset)
-    whole = pairs.pair(3)
-    pairs.shrink_to((48, 64))
-    shrunk = pairs.pair(3)
-    assert shrunk.rgb_a.shape == (48, 64, 3)
-    np.testing.assert_allclose(shrunk.uv_a, (whole.uv_a + 0.5) / 2 - 0.5)
-    # Away from edges, where a pixel holds several objects, the shrunk mask shows what the match says.
-    row, column = np.rint(shrunk.uv_a[:, 1]).astype(int), np.rint(shrunk.uv_a[:, 0]).astype(int)
-    assert (shrunk.instance_a[row, column] == shrunk.instance).mean() > 0.9
-
-
-def scan_pairs(dataset: Dataset) -> Pairs:
-    scan = ScanPairs(*(kind(dataset.path(kind, "a")) for kind in (Scan, VisibleMasks, Correspondences)))
-    return Pairs([(scan, i) for i in range(len(scan.frames))])
+def test_tensorboard_files_tell_the_curve_and_the_speed_outside_the_artifact(dataset, trained):
+    found = scalars(dataset.root / "runs/descriptor/main")
+    rows = DescriptorNet(dataset.path(DescriptorNet)).curve().to_pylist()
+    for row in rows:
+        name = row["name"]
+        tag = name.replace("validation_", "validation/") if "validation" in name else f"train/{name}"
+        assert found.pop((tag, row["step"])) == row["value"]
+    assert {tag for tag, _ in found} == {"speed/images_per_second", "speed/share_waited"}
+    cost = json.loads((dataset.root / "runs/descriptor/main/run.json").read_text())
+    assert cost.keys() == {"device", "processes", "images_per_second", "share_waited"}
+    assert cost["processes"] == 1
 
 
 def test_interrupted_it_goes_on_and_ends_the_same(dataset, trained, tmp_path, monkeypatch):
     from bask_data.nn import training
 
     other = learning_dataset(tmp_path / "d", ("a", "b"))
-    save = training.save_state
-
-    def save_and_stop(file, network, optimiser, step, curve):
-        save(file, network, optimiser, step, curve)
-        # What a kill in the middle of a write leaves: ours, and safetensors' own temporary file.
-        (file.parent / "state.part").write_bytes(b"half")
-        (file.parent / ".tmpqWgRll").write_bytes(b"half")
-        (file.parent / "weights.safetensors").write_bytes(b"half")
-        raise KeyboardInterrupt
-
-    settings = training.TrainingSettings
-    monkeypatch.setattr(training, "TrainingSettings", lambda **given: settings(**given, save_every=2, log_every=2))
     monkeypatch.setattr(training, "save_state", save_and_stop)
     with pytest.raises(KeyboardInterrupt):
         made(other)
-    first = []
-    load_state = training.load_state
-    monkeypatch.setattr(training, "save_state", save)
-    monkeypatch.setattr(training, "load_state", lambda *given: first.append(load_state(*given)) or first[-1])
+    monkeypatch.undo()
+    [state] = (other.root / ".scratch").glob("resume*/state.safetensors")
+    assert saved_step(state.parent) == 1
+    learn, learned = training._Run.learn, []
+    monkeypatch.setattr(training._Run, "learn", lambda run, step, some: learned.append(step) or learn(run, step, some))
     assert made(other).status == "made"
-    assert first[0][0] == 2
-    for name in ("weights.safetensors", "model.json"):
-        expected = (dataset.path(DescriptorNet) / name).read_bytes()
-        assert (other.path(DescriptorNet) / name).read_bytes() == expected
-    left = {file.name for file in other.path(DescriptorNet).iterdir()}
-    assert left == {file.name for file in dataset.path(DescriptorNet).iterdir()}
+    assert learned == [1, 2, 3]
+    assert digest(other) == digest(dataset)
+    names = {file.name for file in dataset.path(DescriptorNet).iterdir()}
+    assert {file.name for file in other.path(DescriptorNet).iterdir()} == names
+    whole, found = (
+        {key: value for key, value in scalars(some.root / "runs/descriptor/main").items() if "speed" not in key[0]}
+        for some in (dataset, other)
+    )
+    assert found == whole
+
+
+def save_and_stop(folder: Path, *given: object) -> None:
+    from bask_data.nn.state import save_state
+
+    save_state(folder, *given)
+    # What a kill in the middle of a write leaves: ours, and safetensors' own temporary file.
+    for left in ("state.part", ".tmpqWgRll", "weights.safetensors"):
+        (folder / left).write_bytes(b"half")
+    raise KeyboardInterrupt
+
+
+def digest(dataset: Dataset) -> str:
+    return DescriptorNet(dataset.path(DescriptorNet)).manifest.digest
+
+
+def test_trained_anew_it_forgets_what_an_earlier_run_logged(tmp_path):
+    dataset = learning_dataset(tmp_path / "d", n_views=2)
+    for seed in (0, 1):
+        assert made(dataset, steps=1, seed=seed).status == "made"
+    assert len(list((dataset.root / "runs/descriptor/main").glob("events*"))) == 1
+
+
+def test_the_weights_that_validated_best_are_published_and_it_is_said(dataset, monkeypatch):
+    from bask_data.nn import validation
+
+    verdicts = iter([0.1, 0.9, 0.2, 0.3])
+    seen = []
+
+    def judged(network, source):
+        seen.append({name: value.clone() for name, value in network.encoder.state_dict().items()})
+        return {"validation_pck_8": next(verdicts)}
+
+    monkeypatch.setattr(validation, "validation_metrics", judged)
+    outcome = made(dataset, best_by="pck_8", validations=4)
+    assert outcome.status == "made", outcome.why
+    descriptor = DescriptorNet(dataset.path(DescriptorNet))
+    assert (descriptor.metadata.step, descriptor.metadata.chosen_by) == (2, "validation_pck_8")
+    assert descriptor.metadata.metrics["validation_pck_8"] == 0.9
+    for name, value in load(descriptor.path, "cpu").encoder.state_dict().items():
+        assert torch.equal(value, seen[1][name]), name
+    lines = descriptor.summary()
+    assert lines[:2] == [
+        "validated on held-out frames: the last 2 of 10 (16 pairs), of scenes that were trained on",
+        "weights of step 2 of 4: best validation_pck_8",
+    ]
+    assert "validation_pck_8 0.9" in lines
+    drawn = "\n".join(lines[lines.index("validation_pck_8 0.9") + 1 :])
+    # Dots of braille: a curve, not an empty frame.
+    assert sum("\u2801" <= character <= "\u28ff" for character in drawn) > 20
+
+
+def test_the_last_weights_are_published_where_none_are_chosen(dataset):
+    assert made(dataset, best_by="none", steps=2).status == "made"
+    descriptor = DescriptorNet(dataset.path(DescriptorNet))
+    assert (descriptor.metadata.step, descriptor.metadata.chosen_by) == (2, None)
+    assert descriptor.summary()[1] == "weights of step 2 of 2: the last"
+
+
+def test_patience_ends_training_early(tmp_path, monkeypatch):
+    from bask_data.nn import validation
+
+    monkeypatch.setattr(validation, "validation_metrics", lambda network, source: {"validation_pck_4": 0.5 / next(n)})
+    n = iter(range(1, 100))
+    dataset = learning_dataset(tmp_path / "d")
+    assert made(dataset, steps=20, validations=20, patience=2).status == "made"
+    descriptor = DescriptorNet(dataset.path(DescriptorNet))
+    assert descriptor.metadata.step == 1
+    assert descriptor.curve()["step"].to_pylist()[-1] == 3
+
+
+def test_every_backbone_can_be_chosen():
+    assert set(typing.get_args(TrainParams.model_fields["backbone"].annotation)) == set(BACKBONES)
+
+
+def test_options_reach_the_batches_and_the_loop():
+    params = TrainParams(
+        zoom=(0.5, 1.5),
+        crop="padded",
+        rotation_deg=90,
+        flip=0.1,
+        background=0.2,
+        composition=0.4,
+        colour=0.6,
+        hue_deg=180,
+        noise=7.0,
+        blur=1.5,
+        pairs_per_step=6,
+        matches=11,
+        non_matches=12,
+        foreground_share=0.3,
+        clearance=4.0,
+        loss="contrastive",
+        margin_foreground=0.3,
+        margin_background=0.8,
+        hinge="plain",
+        hard_negatives=True,
+        normalised=False,
+        accumulate=3,
+        validations=4,
+        steps=100,
+        best_by="median_error_px",
+        patience=5,
+        schedule="step",
+        decay=0.8,
+        decay_every=10,
+        warmup=5,
+        frozen_batch_norm=True,
+        precision="bfloat16",
+        learning_rate=0.01,
+        weight_decay=0.02,
+        alpha=5.0,
+        match_weight=0.2,
+        seed=3,
+    )
+    assert train_module._augment(params) == AugmentSettings(
+        zoom=(0.5, 1.5),
+        crop="padded",
+        rotation=np.pi / 2,
+        flip=0.1,
+        background=0.2,
+        composition=0.4,
+        brightness=0.6,
+        contrast=0.6,
+        saturation=0.6,
+        hue=np.pi,
+        noise=7.0,
+        blur=1.5,
+    )
+    assert train_module._sample(params, (8, 16)) == SampleSettings((8, 16), 6, 11, 12, 0.3, 4.0)
+    assert train_module._settings(params) == TrainingSettings(
+        steps=100,
+        seed=3,
+        loss="contrastive",
+        contrastive=ContrastiveSettings(0.3, 0.8, "plain", True, False),
+        alpha=5.0,
+        match_weight=0.2,
+        accumulate=3,
+        learning_rate=0.01,
+        weight_decay=0.02,
+        schedule="step",
+        decay=0.8,
+        decay_every=10,
+        warmup=5,
+        frozen_batch_norm=True,
+        precision="bfloat16",
+        validate_every=25,
+        best_by="validation_median_error_px",
+        patience=5,
+    )
+
+
+def test_more_processes_than_pairs_are_refused(dataset, monkeypatch):
+    from bask_data.nn import processes
+
+    monkeypatch.setattr(train_module, "processes", lambda: 2)
+    monkeypatch.setattr(processes, "joined", lambda: nullcontext(Group(0, 2)))
+    expected = "train: torchrun: expected at most one for each of the batch's 1 pairs, got 2."
+    assert made(dataset, seed=7).why == f"{expected}  fix: give torchrun a smaller --nproc-per-node."
+
+
+def test_a_group_of_processes_does_not_wait_for_another(dataset, monkeypatch):
+    from bask_data import stage
+
+    monkeypatch.setattr(stage, "processes", lambda: 2)
+    with FileLock(dataset.root / ".scratch" / "resume~descriptor~main~~.lock"):
+        outcome = made(dataset, seed=8)
+    assert (
+        outcome.why == "train: expected nobody else to make it, got another process.  fix: wait until that has ended."
+    )
 
 
 def test_pretrained_weights_are_taken_over(tmp_path):
@@ -177,7 +354,7 @@ def test_broken_or_foreign_weights_are_refused(dataset, tmp_path):
     state = DenseResNet(18, 8).state_dict()
     torch.save({name: value for name, value in state.items() if not name.startswith("layer4")}, tmp_path / "part.pth")
     outcome = made(dataset, weights=str(tmp_path / "part.pth"))
-    assert "layer4.0.conv1.weight: expected all weights of a resnet18, got 25 missing" in outcome.why
+    assert "expected weights of a resnet18, got layer4.0.conv1.weight is missing, one of 25" in outcome.why
 
 
 def test_a_dataset_without_scenes_to_train_on_is_refused(tmp_path):
