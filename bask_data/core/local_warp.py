@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray
 
 from bask_data.core.geometry import in_image, invert_rigid, project, transform, unproject
+from bask_data.core.scores import true_depth
 
-WINDOW = 3
+WINDOW = 2
 """Half the window, in pixels, whose depths tell how a surface lies."""
 SAME_SURFACE = 0.05
 """Depths around a pixel are of its surface where they differ from its own by at most this share."""
@@ -19,13 +20,13 @@ does, as in a window with a single measured pixel."""
 
 
 def surface_tangents(
-    uv: Float[ndarray, "n 2"], depth: Float[ndarray, "h w"], labels: UInt8[ndarray, "h w"], K: Float[ndarray, "3 3"]
+    uv: Float[ndarray, "n 2"], depth: Float32[ndarray, "h w"], labels: UInt8[ndarray, "h w"], K: Float[ndarray, "3 3"]
 ) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3 2"]]:
     """The point of the surface at each pixel, camera frame, metres, and by how many metres it moves a pixel along u
     and v.
 
-    The surface is the plane through the depths of the same label around; inverse depth is linear over a plane's image.
-    NaN where the nearest pixel has no depth, or is outside the image.
+    How the surface lies there is that of the plane through the depths of the same label around; inverse depth is
+    linear over a plane's image. NaN where the nearest pixel has no depth, or is outside the image.
     """
     height, width = depth.shape
     inside = in_image(uv, height, width)
@@ -44,7 +45,7 @@ def surface_tangents(
     known = inside & (own > 0)
     normal[~known] = np.eye(3)
     plane = np.linalg.solve(normal, np.einsum("npi,np->ni", offset, inverse)[..., None])[..., 0]
-    depth_there = np.where(known, 1.0 / np.where(known, plane[:, 2], 1.0), np.nan)
+    depth_there = np.where(known, true_depth(depth, labels, uv), np.nan)
     points = unproject(uv, depth_there, K)
     # X = z ray; 1 / z = a u + b v + c, so z moves by -z^2 a a pixel along u.
     ray = points / depth_there[:, None]

@@ -1,0 +1,466 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from bask_data import evaluation
+from bask_data.cli import app
+from bask_data.core.geometry import in_image, invert_rigid, project, transform, unproject
+from bask_data.dataset import Dataset, Splits
+from bask_data.errors import BadData, UsageError
+from bask_data.evaluation import descriptor, evaluated_descriptor
+from bask_data.evaluation.frames import Frame, Frames
+from bask_data.evaluation.held_out import HeldOut, held_out
+from bask_data.evaluation.matches import BINS, alike_pairs, candidate_pairs, spread_pairs
+from bask_data.evaluation.sweep import about, moved, moved_pixels
+from bask_data.kinds import Correspondences, PairRow
+from tests.datasets import publish_artifact
+from tests.described import (
+    HALF,
+    HEIGHT,
+    N_FRAMES,
+    WIDTH,
+    K,
+    ReadsColours,
+    ReadsPositions,
+    boxes,
+    cameras,
+    coded,
+    described_dataset,
+    publish_masks,
+    publish_network,
+)
+from tests.scenes import Scene
+
+NETWORKS = {"main": ReadsColours(), "blind": ReadsPositions()}
+SCENES = {"a": boxes(0), "b": boxes(1), "c": boxes(2)}
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Trained on two scenes, tested on the third; never written to."""
+    dataset = described_dataset(tmp_path_factory.mktemp("described") / "d", SCENES)
+    publish_network(dataset, "blind")
+    dataset.set_splits(Splits(test=("c",)))
+    return dataset
+
+
+@pytest.fixture(autouse=True)
+def networks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(descriptor, "_network", lambda dataset, variant: NETWORKS[variant])
+
+
+@pytest.fixture(scope="module")
+def candidates(shared: Dataset) -> list:
+    return candidate_pairs(shared, Frames(shared, "c"), HeldOut(("c",), 1.0, ""), 0)
+
+
+# Matches --------------------------------------------------------------------------------------------------------------
+
+
+def shown_point(scene: Scene, world_from_camera: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What a ray through each pixel hits: point in the world and number of the object, by the scene's formulas."""
+    origin, directions = world_from_camera[:3, 3], unproject(uv, np.ones(len(uv)), K) @ world_from_camera[:3, :3].T
+    hits = np.stack([body.cast(origin, directions) for body in scene.background + scene.objects])
+    return origin + hits.min(axis=0)[:, None] * directions, hits.argmin(axis=0)
+
+
+def test_matches_are_one_point_of_one_object_that_both_views_show(candidates: list) -> None:
+    poses, n = cameras(2), 0
+    for pair in candidates:
+        a, b = poses[pair.a.i], poses[pair.b.i]
+        point, label = shown_point(SCENES["c"], a, pair.uv_a)
+        np.testing.assert_array_equal(label, pair.label)
+        uv_b, z_b = project(transform(invert_rigid(b), point), K)
+        np.testing.assert_allclose(pair.uv_b, uv_b, atol=0.15)
+        np.testing.assert_allclose(pair.points_b, transform(invert_rigid(b), point), atol=1e-3)
+        seen, again = shown_point(SCENES["c"], b, pair.uv_b)
+        # At an outline the nearest pixel may show the object where the exact position just misses it.
+        same = again == label
+        n += np.count_nonzero(same & (np.abs(seen - point).max(axis=1) < 0.01))
+        z_a = transform(invert_rigid(a), point)[:, 2]
+        np.testing.assert_allclose(pair.scale, np.maximum(z_a / z_b, z_b / z_a), rtol=0.01)
+    assert n > 0.95 * sum(len(pair.label) for pair in candidates) > 500
+
+
+def test_occlusion_is_the_share_of_the_object_s_pixels_that_are_left(candidates: list) -> None:
+    poses, scene = cameras(2), SCENES["c"]
+    found, truth = [], []
+    for pair in candidates:
+        view = scene.render(K, poses[pair.b.i], HEIGHT, WIDTH)
+        alone = scene.amodal(K, poses[pair.b.i], HEIGHT, WIDTH)
+        for label in np.unique(pair.label):
+            found.append(pair.visible[pair.label == label][0])
+            truth.append((view.instance == label).sum() / alone[label - 1].sum())
+    assert min(truth) < 0.8
+    # Images are small: a row of pixels along an outline is some percent of an object.
+    assert np.abs(np.subtract(found, truth)).max() < 0.1
+
+
+def test_rotation_is_that_of_the_colours_around(candidates: list) -> None:
+    """On the top of the carton, which no view sees at a grazing angle, the ways of two points of it tell the turn."""
+    poses, scene, errors = cameras(2), SCENES["c"], []
+    carton = scene.objects[0]
+    for pair in candidates:
+        a, b = poses[pair.a.i], poses[pair.b.i]
+        points, label = shown_point(scene, a, pair.uv_a)
+        on_top = (label == 1) & (carton.local(points)[:, 2] > carton.half[2] - 1e-6)
+        inner = np.abs(carton.local(points)[:, :2]).max(axis=1) < 0.03
+        for i in np.flatnonzero(on_top & inner):
+            step = 1e-3 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+            (p, p_x, p_y), (q, q_x, q_y) = (
+                project(transform(invert_rigid(one), points[i] + step), K)[0] for one in (a, b)
+            )
+            warp = np.column_stack([q_x - q, q_y - q]) @ np.linalg.inv(np.column_stack([p_x - p, p_y - p]))
+            angle = abs(np.arctan2(warp[1, 0] - warp[0, 1], warp[0, 0] + warp[1, 1]))
+            errors.append(abs(angle - pair.rotation[i]))
+    assert len(errors) > 30
+    # A pixel is a centimetre here, and what is near an edge leans a little to the other side of it.
+    assert np.degrees(np.median(errors)) < 0.2
+    assert np.degrees(np.quantile(errors, 0.95)) < 5
+
+
+def test_half_of_the_pairs_are_drawn_blindly_and_the_others_fill_bins(candidates: list) -> None:
+    spread = spread_pairs(candidates, 30, 0)
+    assert len(spread) == len({(pair.a, pair.b) for pair in spread}) == 30
+    assert sum(pair.is_random for pair in spread) == 15
+    assert [pair.b for pair in spread] == sorted(pair.b for pair in spread)
+
+    def emptiest(pairs: list) -> int:
+        counts = [
+            np.concatenate([np.bincount(pair.bins()[name], minlength=len(BINS[name])) for name in BINS])
+            for pair in pairs
+        ]
+        return int(np.sum(counts, axis=0).min())
+
+    chosen = [pair for pair in spread if not pair.is_random]
+    blind = [pair for pair in spread if pair.is_random]
+    assert emptiest(chosen) > emptiest(blind)
+    assert spread_pairs([], 30, 0) == []
+
+
+def test_pairs_to_be_turned_are_alike_already(candidates: list) -> None:
+    pairs = alike_pairs(candidates, 3, 0)
+    assert 0 < len(pairs) <= 3
+    for pair in pairs:
+        assert pair.scale.max() < 1.25 and np.degrees(pair.rotation.max()) < 30
+
+
+# Networks of which the answer is known --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def found(shared: Dataset) -> dict:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(descriptor, "_network", lambda dataset, variant: NETWORKS[variant])
+        return evaluated_descriptor(shared, ("main", "blind"), pairs=24, sweep=True, keypoints=10)
+
+
+def test_a_network_that_knows_every_point_finds_it_at_any_scale_rotation_and_occlusion(found: dict) -> None:
+    told = found["variants"]["main"]
+    for what, rows in {"by_all": {"all": told["all"]}, **told}.items():
+        for name, figures in rows.items() if what.startswith("by_") else ():
+            if figures["n"] >= 20:
+                # Between the pixels of a turned image colours are mixed, those of an outline with the table's.
+                assert figures["pck_4"] > (0.85 if what == "by_turn" else 0.95), (what, name)
+                assert figures["median_px"] < 1.0, (what, name)
+                assert figures["closer_mean"] < 0.02, (what, name)
+    assert told["all"]["median_3d_m"] < 0.004
+    assert told["all"]["area_error_share"] < 0.02
+    # It is sure nearly always, and right.
+    assert told["calibration"]["ece"] < 0.05
+    assert told["calibration"]["n"][-1] > 0.95 * told["all"]["n"]
+    assert set(told["by_object"]) == {"carton", "tin"}
+    assert list(told["by_scene"]) == ["c"]
+    assert min(told["by_scale"][name]["n"] for name in BINS["scale"]) > 10
+    assert min(told["by_rotation"][name]["n"] for name in BINS["rotation"]) > 10
+
+
+def test_every_match_is_in_one_bin_of_each_kind(found: dict) -> None:
+    for told in found["variants"].values():
+        totals = {what: sum(one["n"] for one in told[f"by_{what}"].values()) for what in (*BINS, "object", "scene")}
+        assert len(set(totals.values())) == 1
+        assert told["all"]["n"] < totals["scene"]
+
+
+def test_variants_are_held_against_the_same_matches(found: dict) -> None:
+    main, blind = found["variants"].values()
+    assert [one["n"] for one in main["by_rotation"].values()] == [one["n"] for one in blind["by_rotation"].values()]
+    assert main["by_turn"]["90"]["n"] == blind["by_turn"]["90"]["n"] > 0
+
+
+def test_a_network_that_knows_positions_only_is_off_by_the_way_of_each_match(
+    shared: Dataset, found: dict, candidates: list
+) -> None:
+    blind = [pair for pair in spread_pairs(candidates, 24, 0) if pair.is_random]
+    ways = np.concatenate([np.linalg.norm(pair.uv_a - pair.uv_b, axis=1) for pair in blind])
+    told, diagonal = found["variants"]["blind"]["all"], np.hypot(HEIGHT, WIDTH)
+    assert told["n"] == len(ways)
+    # Maps are eight times finer than the image: a sixteenth of a pixel either way.
+    assert told["median_px"] == pytest.approx(np.median(ways), abs=0.1)
+    for percent in (4, 8):
+        assert told[f"pck_{percent}"] == pytest.approx((ways <= percent / 100 * diagonal).mean(), abs=0.02)
+    assert told["area_error_share"] == pytest.approx((ways / diagonal).mean(), abs=0.002)
+    # The false positives are the disc around the wrong place, as far as the image goes.
+    assert 0 < told["closer_mean"] < np.pi * np.mean(ways**2) / (HEIGHT * WIDTH)
+
+
+def test_zoomed_and_turned_views_know_where_the_match_has_gone(found: dict) -> None:
+    """What is fixed to the image is lost by just the way on which zoom and turn lead."""
+    told = found["variants"]["blind"]
+    assert told["by_zoom"]["1"] == told["by_turn"]["0"]
+    turned = [told["by_turn"][angle]["median_px"] for angle in ("0", "45", "90", "135", "180")]
+    assert turned[1] < turned[2] < turned[3] < turned[4]
+    assert {one["n"] for what in ("zoom", "turn") for one in told[f"by_{what}"].values()} == {told["by_turn"]["0"]["n"]}
+
+
+def test_an_image_is_moved_with_its_pixels() -> None:
+    scene, camera = SCENES["a"], cameras(0)[3]
+    view = scene.render(K, camera, HEIGHT, WIDTH)
+    rgb = coded(scene, view.depth, view.instance, camera)
+    v, u = np.nonzero(view.instance)
+    uv = np.stack([u, v], axis=1).astype(float)
+    for zoom, turn in ((1.0, 0.0), (2.0, 0.0), (1.0, 90.0), (1.0, 180.0)):
+        way = about(np.array([31.5, 23.5]), zoom, turn)
+        there = moved_pixels(uv, way)
+        inside = in_image(there, HEIGHT, WIDTH) & np.isclose(there, there.round()).all(axis=1)
+        shown = moved(rgb, way)[tuple(there[inside].round().astype(int)[:, ::-1].T)]
+        if zoom == 1:
+            assert inside.sum() > 0.6 * len(uv)
+            np.testing.assert_array_equal(shown, rgb[v[inside], u[inside]])
+    np.testing.assert_allclose(moved_pixels(np.array([[5.0, 7.0]]), about(np.array([5.0, 7.0]), 2.0, 30.0)), [[5, 7]])
+    np.testing.assert_allclose(moved_pixels(np.array([[6.0, 7.0]]), about(np.array([5.0, 7.0]), 2.0, 90.0)), [[5, 9]])
+    blown_up = moved(rgb, about(np.array([20.0, 20.0]), 2.0, 0.0))
+    np.testing.assert_array_equal(blown_up[20::2, 20::2][:10, :10], rgb[20:30, 20:30])
+
+
+# Keypoints of one view ------------------------------------------------------------------------------------------------
+
+
+def test_keypoints_are_found_by_who_knows_every_point_of_an_object(found: dict) -> None:
+    [row] = found["variants"]["main"]["keypoints"].values()
+    assert list(row) == ["training", "unseen view"]
+    for told, n_views in zip(row.values(), (2 * N_FRAMES, N_FRAMES), strict=True):
+        assert told["views"] == n_views
+        assert told["seen"] + told["hidden"] + told["outside"] == 10 * n_views
+        assert min(told["seen"], told["hidden"]) > 15
+        assert told["mean"] < 0.015
+    [blind] = found["variants"]["blind"]["keypoints"].values()
+    assert blind["training"]["mean"] > 0.15
+    # What a flat heat map expects lies in the middle, and is nearer to most things than a corner is.
+    assert blind["training"]["seen"] == row["training"]["seen"]
+
+
+def test_keypoints_are_looked_for_on_other_instances_at_the_same_share_of_their_boxes(
+    shared: Dataset, tmp_path: Path
+) -> None:
+    larger = {name: tuple(1.4 * one for one in half) for name, half in HALF.items()}
+    others = {
+        "same": described_dataset(tmp_path / "same", {"x": boxes(7)}),
+        "larger": described_dataset(tmp_path / "larger", {"x": boxes(8, larger), "y": boxes(9, larger)}),
+    }
+    found = evaluated_descriptor(shared, pairs=1, keypoints=12, against=others)
+    [row] = found["variants"]["main"]["keypoints"].values()
+    assert list(row) == ["training", "unseen view", "same", "larger"]
+    assert row["same"]["mean"] < 0.015
+    assert row["larger"]["views"] == 2 * N_FRAMES
+    # The larger ones are seen as far as views show them, and snapped to a sample of their surface.
+    assert row["larger"]["mean"] < 0.03
+    assert row["larger"]["seen"] > 50
+
+
+def test_only_truth_that_knows_where_objects_are_is_searched_for_keypoints(shared: Dataset, tmp_path: Path) -> None:
+    other = Dataset.create(tmp_path / "empty")
+    with pytest.raises(UsageError, match="--against: expected scenes whose truth knows transforms, got none"):
+        evaluated_descriptor(shared, pairs=1, keypoints=4, against={"other": other})
+
+
+# What is held out -----------------------------------------------------------------------------------------------------
+
+
+def test_test_scenes_come_before_validation_and_those_before_frames(tmp_path: Path) -> None:
+    dataset = described_dataset(tmp_path / "d", SCENES)
+    publish_network(dataset, "half", held_out=0.5)
+    publish_network(dataset, "third", held_out=1 / 3)
+    assert held_out(dataset, ["main"]) == HeldOut(
+        ("a", "b", "c"), 1.0, "frames that were trained on: nothing is held out"
+    )
+    both = held_out(dataset, ["half", "third"])
+    assert both.words == "held-out frames: the last 33% of each camera's, of scenes that were trained on"
+    # The frames that neither saw are those that the greedier one left.
+    assert both.frames(Frames(dataset, "a"), 99) == [Frame("wrist", i) for i in range(8, 12)]
+    assert [frame.i for frame in held_out(dataset, ["half"]).frames(Frames(dataset, "a"), 2)] == [6, 11]
+    dataset.set_splits(Splits(validation=("b",)))
+    assert held_out(dataset, ["half"]) == HeldOut(("b",), 1.0, "held-out scenes (validation): b")
+    dataset.set_splits(Splits(validation=("b",), test=("c",)))
+    assert held_out(dataset, ["half"]) == HeldOut(("c",), 1.0, "held-out scenes (test): c")
+    asked = held_out(dataset, ["half"], ["a", "c"])
+    assert asked == HeldOut(("a", "c"), 1.0, "scenes asked for: a, c; trained on: a")
+
+
+def test_keypoints_of_held_out_frames_are_told_apart_from_those_trained_on(tmp_path: Path) -> None:
+    dataset = described_dataset(tmp_path / "d", {"a": boxes(0)})
+    publish_network(dataset, held_out=0.25)
+    found = evaluated_descriptor(dataset, pairs=4, keypoints=6)
+    [row] = found["variants"]["main"]["keypoints"].values()
+    assert [told["views"] for told in row.values()] == [9, 3]
+
+
+def test_what_is_missing_is_told(tmp_path: Path) -> None:
+    dataset = described_dataset(tmp_path / "d", {"a": boxes(0)})
+    with pytest.raises(UsageError, match="--scenes: expected one of a, got z"):
+        held_out(dataset, ["main"], ["z"])
+    with pytest.raises(UsageError, match="--variant: expected one of main, got other.  fix: bask-data train .*other"):
+        held_out(dataset, ["other"])
+    (dataset.path(Correspondences, "a").parent.parent / "truth" / "a" / "artifact.json").unlink()
+    with pytest.raises(UsageError, match="a: expected a scene with masks, got none.  fix: bask-data run"):
+        held_out(dataset, ["main"])
+    dataset.set_splits(Splits(test=("a",)))
+    with pytest.raises(BadData, match="expected a dataset"):
+        Dataset(tmp_path / "nothing")
+
+
+def test_a_dataset_without_a_scene_to_measure_on_is_told(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    publish_network(dataset)
+    with pytest.raises(UsageError, match="splits: expected a scene to measure on, got none"):
+        held_out(dataset, ["main"])
+
+
+def test_frames_that_share_nothing_are_told(tmp_path: Path) -> None:
+    dataset = described_dataset(tmp_path / "d", {"a": boxes(0)})
+    publish_network(dataset, held_out=1 / N_FRAMES)
+    with pytest.raises(UsageError, match="expected frames that see the same objects, got none in held-out frames"):
+        evaluated_descriptor(dataset)
+
+
+# Without truth --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> tuple[Dataset, dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]]:
+    """A scene without truth: the same images with right cameras, masks and matches."""
+    from tests.datasets import publish_recording
+
+    scene, poses = SCENES["a"], cameras(0)
+    views = [scene.render(K, camera, HEIGHT, WIDTH) for camera in poses]
+    dataset = Dataset.create(tmp_path / "recorded")
+    colours = [coded(scene, view.depth, view.instance, camera) for view, camera in zip(views, poses, strict=True)]
+    depth = [view.depth for view in views]
+    publish_recording(dataset, "a", rgb=colours, depth=depth, K=K, world_from_cameras=poses)
+    fractions = np.random.default_rng(0).random((N_FRAMES, 2))
+    publish_masks(dataset, "a", [view.instance for view in views], 2, fractions)
+    stored = {}
+    rng = np.random.default_rng(0)
+
+    def fill(out: Path) -> None:
+        with Correspondences.writer(out) as writer:
+            for a, b in ((0, 1), (3, 2), (5, 6), (1, 8), (9, 10), (11, 10)):
+                v, u = np.nonzero(views[a].instance)
+                uv_a = np.stack([u, v], axis=1)[rng.permutation(len(u))[:60]].astype(float)
+                points, label = shown_point(scene, poses[a], uv_a)
+                uv_b = project(transform(invert_rigid(poses[b]), points), K)[0]
+                again, _ = shown_point(scene, poses[b], uv_b)
+                good = in_image(uv_b, HEIGHT, WIDTH) & (np.linalg.norm(again - points, axis=1) < 1e-3)
+                stored[a, b] = uv_a[good], uv_b[good]
+                columns = {"instance": label[good].astype(np.uint8)}
+                for one, uv in (("a", uv_a[good]), ("b", uv_b[good])):
+                    columns |= {f"u_{one}": uv[:, 0].astype(np.float32), f"v_{one}": uv[:, 1].astype(np.float32)}
+                row = PairRow(
+                    camera_a="wrist", frame_a=a, camera_b="wrist", frame_b=b, n_attempts=60, distance=0.1, angle=0.1
+                )
+                writer.append(row, columns)
+
+    publish_artifact(dataset, Correspondences, "a", fill)
+    publish_network(dataset)
+    return dataset, stored
+
+
+def test_without_truth_the_dataset_s_own_matches_are_looked_for(recorded: tuple) -> None:
+    dataset, stored = recorded
+    frames = Frames(dataset, "a")
+    pairs = candidate_pairs(dataset, frames, HeldOut(("a",), 1.0, ""), 0)
+    assert {(pair.a.i, pair.b.i) for pair in pairs} == {key for key, (uv, _) in stored.items() if len(uv) >= 6}
+    for pair in pairs:
+        uv_a, uv_b = stored[pair.a.i, pair.b.i]
+        both = np.concatenate([uv_a, uv_b], axis=1)
+        assert 0 < len(pair.uv_a) <= 24
+        for match in np.concatenate([pair.uv_a, pair.uv_b], axis=1):
+            assert np.abs(both - match).max(axis=1).min() < 1e-4
+        visible = frames.masks.camera("wrist").visible_fraction[pair.b.i]
+        np.testing.assert_allclose(pair.visible, visible[pair.label - 1])
+        z_a, z_b = (
+            transform(invert_rigid(cameras(0)[one]), shown_point(SCENES["a"], cameras(0)[pair.a.i], pair.uv_a)[0])[:, 2]
+            for one in (pair.a.i, pair.b.i)
+        )
+        np.testing.assert_allclose(pair.scale, np.maximum(z_a / z_b, z_b / z_a), rtol=0.02)
+    found = evaluated_descriptor(dataset)
+    assert found["matches_by"] == {"a": "correspondences"}
+    told = found["variants"]["main"]
+    assert told["all"]["pck_4"] > 0.95 and told["all"]["median_3d_m"] < 0.004
+    assert set(told["by_object"]) <= {"a 1", "a 2"}
+
+
+def test_matches_of_frames_that_were_trained_on_are_left_out(recorded: tuple) -> None:
+    dataset, _ = recorded
+    pairs = candidate_pairs(dataset, Frames(dataset, "a"), HeldOut(("a",), 0.25, ""), 0)
+    assert {(pair.a.i, pair.b.i) for pair in pairs} == {(9, 10), (11, 10)}
+
+
+def test_without_depth_scale_and_rotation_are_in_no_bin(candidates: list) -> None:
+    from dataclasses import replace
+
+    nothing = np.full(len(candidates[0].label), np.nan)
+    assert (replace(candidates[0], scale=nothing, rotation=nothing, visible=nothing).bins()["scale"] == -1).all()
+
+
+# The command ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_prints_tables_for_people_and_everything_for_scripts(
+    shared: Dataset, found: dict, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = {}
+
+    def evaluated(dataset: Dataset, variants: list[str], **options: object) -> dict:
+        asked.update({"root": dataset.root, "variants": variants, **options})
+        return found
+
+    monkeypatch.setattr(evaluation, "evaluated_descriptor", evaluated)
+    command = ["evaluate", "descriptor", str(shared.root), "--variant", "main,blind", "--pairs", "24", "--json"]
+    more = ["--no-sweep", "--keypoints", "10", "--against", f"there={shared.root}", "--scenes", "c", "--seed", "3"]
+    shown = CliRunner().invoke(app, [*command, *more])
+    assert shown.exit_code == 0, shown.stderr
+    assert json.loads(shown.stdout) == {"command": "evaluate descriptor", **json.loads(json.dumps(found))}
+    assert asked.pop("against")["there"].root == asked.pop("root") == shared.root
+    assert asked == {
+        "variants": ["main", "blind"],
+        "scenes": ["c"],
+        "pairs": 24,
+        "sweep": False,
+        "keypoints": 10,
+        "alpha": 4.0,
+        "seed": 3,
+    }
+    told = found["variants"]["blind"]
+    words = ["measured on held-out scenes (test): c", "c: matches by exact depth and cameras", "by rotation", "by turn"]
+    keypoints = told["keypoints"]["carton+tin"]["unseen view"]
+    words.append(
+        f"unseen view                  {keypoints['mean']:.3f} +- {keypoints['std']:.3f}  ({keypoints['seen']}, "
+    )
+    words.append(
+        f"heat maps of blind: what they promise and what is so differ by {100 * told['calibration']['ece']:.1f} %"
+    )
+    words.append(f"{100 * told['by_turn']['90']['pck_8']:9.1f}")
+    for one in words:
+        assert one in shown.stderr
+
+
+def test_a_dataset_to_hold_against_needs_a_name(shared: Dataset) -> None:
+    shown = CliRunner().invoke(app, ["evaluate", "descriptor", str(shared.root), "--against", "elsewhere"])
+    assert shown.exit_code == UsageError.exit_code
+    assert "--against: expected NAME=ROOT, got elsewhere" in shown.stderr
