@@ -23,10 +23,14 @@ MEAN = (127 / 255, 127 / 255, 127 / 255)
 STD = (128 / 255, 128 / 255, 128 / 255)
 """Of the colours the published weights were trained with: not ImageNet's, whatever the package says."""
 
-LEVELS = ((2, 4, 24), (4, 8, 40), (10, 16, 112), (15, 32, 320))
-"""Blocks whose output is used, the last of each stride: number, stride, channels."""
+LEVELS = ((0, 2, 16), (2, 4, 24), (4, 8, 40), (7, 16, 80), (10, 16, 112))
+"""Blocks whose output is used, the last of each stage: number, stride, channels."""
 
-COARSEST = 32
+N_BLOCKS = 11
+"""Blocks that are computed, of 16. What the last two stages see, at stride 32, tells classes of images apart but not
+places on an object: with it, the same training finds a fifth fewer matches."""
+
+COARSEST = 16
 """Input pixels a cell of the deepest features covers, in each direction."""
 
 # Kernel, stride, factor of the expansion, channels, blocks.
@@ -79,14 +83,14 @@ class DenseEfficientNet(nn.Module):
             for i in range(n_blocks):
                 blocks.append(InvertedBottleneck(n_in, n_out, kernel, stride if i == 0 else 1, expansion))
                 n_in = n_out
-        self._blocks = nn.ModuleList(blocks)
+        self._blocks = nn.ModuleList(blocks[:N_BLOCKS])
         self.head = DescriptorHead(tuple(n_channels for _, _, n_channels in LEVELS), n_outputs)
 
     def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b d h8 w8"]:
         """The output at stride 8; cell (i, j) stands for the block of pixels from (8i, 8j) to (8i + 7, 8j + 7).
 
         Every strided layer is centred on the first of the two pixels it joins, as in a ResNet, and here their number
-        differs from level to level. On an image of 32 n + 1 pixels each level begins at the first pixel and ends at the
+        differs from level to level. On an image of 16 n + 1 pixels each level begins at the first pixel and ends at the
         last: cell i of the level at stride s lies at pixel s i, exactly, and what belongs between two is between them.
         """
         height, width = x.shape[-2:]

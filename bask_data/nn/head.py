@@ -12,7 +12,9 @@ WIDTH = 128
 
 
 class DescriptorHead(nn.Module):
-    """Features at stride 8 to descriptors.
+    """Features at stride 8 to descriptors: linearly, plus what a small network makes of them and their neighbours.
+
+    The linear part keeps features that are near each other near, so training starts from what the encoder knows.
 
     Args:
         n_channels: of the features, one number for each group that is brought to the same scale by itself.
@@ -21,15 +23,18 @@ class DescriptorHead(nn.Module):
     def __init__(self, n_channels: tuple[int, ...], n_outputs: int) -> None:
         super().__init__()
         self.n_channels = n_channels
+        self.linear = nn.Conv2d(sum(n_channels), n_outputs, 1, bias=False)
         self.gather = nn.Conv2d(sum(n_channels), WIDTH, 1)
         self.mix = nn.Conv2d(WIDTH, WIDTH, 3, padding=1)
         self.out = nn.Conv2d(WIDTH, n_outputs, 1)
         assert self.out.bias is not None
+        nn.init.normal_(self.linear.weight, std=sum(n_channels) ** -0.5)
         nn.init.normal_(self.out.weight, std=WIDTH**-0.5)
         nn.init.zeros_(self.out.bias)
 
     def forward(self, features: Float[Tensor, "b c h8 w8"]) -> Float[Tensor, "b d h8 w8"]:
         """The descriptors."""
         groups = features.split(self.n_channels, dim=1)
-        x = F.relu(self.gather(torch.cat([F.layer_norm(x, x.shape[1:]) for x in groups], dim=1)))
-        return self.out(F.relu(x + self.mix(x)))
+        scaled = torch.cat([F.layer_norm(x, x.shape[1:]) for x in groups], dim=1)
+        x = F.relu(self.gather(scaled))
+        return self.linear(scaled) + self.out(F.relu(x + self.mix(x)))
