@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, is_dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -33,12 +33,20 @@ from bask_data.kinds import (
 )
 from bask_data.kinds.truth import ROBOT
 
+if TYPE_CHECKING:
+    from bask_data.nn.network import DescriptorNetwork
+
 TOLERANCE_PX = 5.0
 """A keypoint this close to its object counts as near: labels drawn by people are not better than that."""
 SHARED_IOU = 0.05
 """Below this, an instance only touches a label; two labels it covers better than this were not told apart."""
 MOST_MEASURED = 300
 """Frames of a camera in which masks are counted and held against labels; of more, so many spread evenly."""
+MOST_NETWORKS = 5
+"""Descriptor networks compared: one a preset, and one more."""
+PAIRS_EVALUATED, SCENES_EVALUATED = 48, 8
+"""Pairs of frames on which networks are compared, shared among so many scenes at most: enough for an impression, and a
+report is made in a minute. `bask-data evaluate descriptor` takes more."""
 N_SAMPLED = 8
 """Frames looked at for figures that need no more than an impression."""
 
@@ -101,6 +109,7 @@ class Measured:
         self._dataset = dataset
         self._masks: dict[str, dict[str, Any]] = {}
         self._tracks: dict[tuple[str, str], TrackScores] = {}
+        self._descriptors: dict[str, Any] | None = None
 
     def masks(self, scene: str) -> dict[str, Any]:
         """Of a scene's masks; what cannot be read says why."""
@@ -111,6 +120,13 @@ class Measured:
                 found = {"error": what_is_wrong(error)}
             self._masks[scene] = found
         return self._masks[scene]
+
+    def descriptors(self) -> dict[str, Any]:
+        """What `evaluate descriptor` tells of the first few networks, on few pairs; `errors` says what cannot be read
+        or measured. Empty without any network."""
+        if self._descriptors is None:
+            self._descriptors = descriptors_figures(self._dataset)
+        return self._descriptors
 
     def track(self, demonstration: str, variant: str) -> TrackScores:
         """Of a track that exists."""
@@ -134,6 +150,7 @@ def summary(dataset: Dataset, measured: Measured) -> dict[str, Any]:
             list(dataset.variants(DescriptorNet)),
             lambda variant: descriptor_figures(find(dataset, DescriptorNet, "", variant)),
         ),
+        "evaluation": measured.descriptors(),
         "keypoints": _each(
             list(dataset.variants(KeypointTrack)),
             lambda variant: _each(demonstrations, lambda name: track_figures(dataset, measured, name, variant)),
@@ -411,8 +428,56 @@ def descriptor_figures(descriptor: DescriptorNet | None) -> dict[str, Any]:
         "validated_on": descriptor.metadata.validated_on,
         "metrics": dict(descriptor.metadata.metrics),
         "n_steps": int(steps.max()) if len(steps) else 0,
+        "step": descriptor.metadata.step,
+        "chosen_by": descriptor.metadata.chosen_by,
         "model": {key: value for key, value in descriptor.model.items() if isinstance(value, (str, int, float, bool))},
     }
+
+
+def networks(dataset: Dataset) -> dict[str, DescriptorNet]:
+    """The first few descriptor networks by variant."""
+    found = {variant: find(dataset, DescriptorNet, "", variant) for variant in dataset.variants(DescriptorNet)}
+    there = [(variant, one) for variant, one in found.items() if one is not None]
+    return dict(there[:MOST_NETWORKS])
+
+
+def loaded(descriptor: DescriptorNet) -> DescriptorNetwork:
+    """The network, ready to describe.
+
+    Raises:
+        BadData: it does not load.
+    """
+    from bask_data.nn.network import load
+
+    try:
+        return load(descriptor.path)
+    except Exception as error:  # Whatever a broken file makes safetensors, torch or JSON raise.
+        fix = "run `bask-data validate`."
+        raise BadData(descriptor.path, "", expected="a network that loads", got=str(error)[:200], fix=fix) from error
+
+
+def descriptors_figures(dataset: Dataset) -> dict[str, Any]:
+    """How well networks find in held-out views what they saw in others, on the same few pairs."""
+    from bask_data.evaluation import evaluated_descriptor
+    from bask_data.evaluation.held_out import held_out
+
+    readable, errors = [], {}
+    for variant, network in networks(dataset).items():
+        try:
+            loaded(network)
+            readable.append(variant)
+        except BadData as error:
+            errors[variant] = what_is_wrong(error)
+    found: dict[str, Any] = {}
+    try:
+        if readable:
+            scenes = held_out(dataset, readable).scenes
+            n_pairs = max(PAIRS_EVALUATED // min(len(scenes), SCENES_EVALUATED), 1)
+            some = scenes[:SCENES_EVALUATED] if len(scenes) > SCENES_EVALUATED else ()
+            found = evaluated_descriptor(dataset, readable, scenes=some, pairs=n_pairs, sweep=True)
+    except UNREADABLE as error:
+        errors["not measured"] = what_is_wrong(error)
+    return {**found, **({"errors": errors} if errors else {})}
 
 
 def input_path(manifest: Manifest, kind: type[Artifact]) -> str | None:

@@ -37,9 +37,11 @@ def line_plot(
     x_label: str,
     y_label: str,
     logarithmic: bool = False,
+    x_range: tuple[float, float] | None = None,
     y_range: tuple[float, float] | None = None,
+    marked_x: float | None = None,
 ) -> str:
-    """An SVG element.
+    """An SVG element; a vertical line marks a place of the x axis.
 
     The labels of the axes must be ours: names out of files belong in HTML, where they are escaped.
     """
@@ -57,6 +59,10 @@ def line_plot(
                 marker="o" if curve.dots or np.isfinite(curve.y).sum() <= 20 else "",
                 markersize=6 if curve.dots else 3.5 if curve.thick else 2,
             )
+        if x_range:
+            axes.set_xlim(*x_range)
+        if marked_x is not None:
+            axes.axvline(marked_x, color=_INK, linewidth=1.2, linestyle=":")
         if logarithmic and any((curve.y[np.isfinite(curve.y)] > 0).any() for curve in curves):
             axes.set_yscale("log")
             # The default writes powers as TeX, and only whole ones, of which there may be none in the range.

@@ -14,7 +14,7 @@ from bask_data.core.heatmap import softmax_map
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
 from bask_data.kinds import Camera, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Scan, Truth, VisibleMasks
-from bask_data.report.figures import find, find_recording, find_truth, input_variant, spread_frames
+from bask_data.report.figures import find, find_recording, find_truth, input_variant, loaded, spread_frames
 
 N_POINTS = 16
 """Points chosen where no reference keypoints are there."""
@@ -254,15 +254,7 @@ class Finder:
         Raises:
             BadData: the network does not load, or does not fit the reference keypoints.
         """
-        from bask_data.nn.network import load
-
-        try:
-            self._network = load(descriptor.path)
-        except Exception as error:  # Whatever a broken file makes safetensors, torch or JSON raise.
-            fix = "run `bask-data validate`."
-            raise BadData(
-                descriptor.path, "", expected="a network that loads", got=str(error)[:200], fix=fix
-            ) from error
+        self._network = loaded(descriptor)
         self.descriptors = self._described(dataset, variant, descriptor, picks)
         """(k, d); NaN for points in images that are not here."""
         self.alpha = temperature(dataset, variant, descriptor)

@@ -38,8 +38,6 @@ N_ITEMS = 3
 N_ROWS = 32
 N_CAMERAS = 3
 N_MATCHES = 30
-N_NETWORKS = 5
-"""Descriptor networks compared: one a preset, and one more."""
 N_TRAIL = 15
 TILE, PICTURE, WIDE = 320, 480, 1100
 FIRST, LAST = (80, 220, 120), (240, 70, 90)
@@ -75,9 +73,7 @@ class Chosen:
     @cached_property
     def networks(self) -> dict[str, DescriptorNet]:
         """Descriptor networks by variant."""
-        dataset = self.dataset
-        found = {variant: find(dataset, DescriptorNet, "", variant) for variant in dataset.variants(DescriptorNet)}
-        return {variant: one for variant, one in list(found.items())[:N_NETWORKS] if one is not None}
+        return figures.networks(self.dataset)
 
     @cached_property
     def masks(self) -> dict[str, dict[str, Any]]:
@@ -201,6 +197,10 @@ def _headline(chosen: Chosen) -> list[tuple[str, str]]:
     ]
     if n_matches:
         rows.append((f"{sum(n_matches):,}", "matches between views"))
+    for variant, told in chosen.measured.descriptors().get("variants", {}).items():
+        found = told["all"]["pck_4"]
+        if found is not None:
+            rows.append((percent(found), f"of true matches found within 4 % of the image's diagonal by {variant}"))
     for name, variant, scored in chosen.tracks:
         if variant != chosen.tracks[0][1]:  # Other variants are compared in their own section.
             continue
@@ -615,21 +615,22 @@ def _pair_tiles(scan: Scan, correspondences: Correspondences) -> list[Part]:
 def training(chosen: Chosen) -> list[Part]:
     """Loss terms and validation metrics over the steps."""
 
-    def part(variant: str) -> Part | None:
-        found = find(chosen.dataset, DescriptorNet, "", variant)
-        if found is None:
-            return None
+    def part(variant: str) -> Part:
+        found = chosen.networks[variant]
+        numbers = figures.descriptor_figures(found)
+        marked = numbers["step"] if numbers["chosen_by"] is not None else None
         return {
             "title": variant,
-            "numbers": figures.descriptor_figures(found),
-            "plots": _curve_plots(found),
+            "numbers": numbers,
+            "metrics": numbers["metrics"],
+            "plots": _curve_plots(found, marked),
         }
 
-    return _untitled_if_alone(per_item(chosen.variants, part))
+    return _untitled_if_alone(per_item(list(chosen.networks), part))
 
 
-def _curve_plots(descriptor: DescriptorNet) -> list[Part]:
-    """A plot per family of terms that share a scale."""
+def _curve_plots(descriptor: DescriptorNet, marked_step: int | None) -> list[Part]:
+    """A plot per family of terms that share a scale, with a line where the weights are from."""
     table = descriptor.curve()
     step, names, value = table["step"].to_numpy(), np.array(table["name"].to_pylist(), dtype=object), table["value"]
     values = value.to_numpy()
@@ -644,7 +645,7 @@ def _curve_plots(descriptor: DescriptorNet) -> list[Part]:
             chosen = names == name
             curves.append(_curve(step[chosen], values[chosen], colour))
             legend.append({"name": name, "colour": colour, "last": float(values[chosen][-1])})
-        plots.append({"title": family, "svg": _training_plot(curves, family), "legend": legend})
+        plots.append({"title": family, "svg": _training_plot(curves, family, marked_step), "legend": legend})
     return plots
 
 
@@ -652,7 +653,7 @@ def _family(name: str) -> str:
     lowered = name.lower()
     for word, family in (
         ("loss", "loss"),
-        ("pck", "share of keypoints within a distance"),
+        ("pck", "share of matches within 1, 2, 4, 8 % of the diagonal"),
         ("px", "error in pixels"),
         ("pixel", "error in pixels"),
         ("rate", "learning rate"),
@@ -676,7 +677,7 @@ def _curve(x: np.ndarray, y: np.ndarray, colour: str) -> Any:
     )
 
 
-def _training_plot(curves: list[Any], family: str) -> str:
+def _training_plot(curves: list[Any], family: str, marked_step: int | None) -> str:
     from bask_data.report.plots import line_plot
 
     share = family.startswith("share")
@@ -685,6 +686,7 @@ def _training_plot(curves: list[Any], family: str) -> str:
         x_label="optimiser steps",
         y_label="share" if share else "pixels" if "pixel" in family else "value",
         logarithmic=family == "loss",
+        marked_x=marked_step,
         y_range=(0, 1.02) if share else None,
     )
 

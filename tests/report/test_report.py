@@ -36,6 +36,7 @@ SECTIONS = {
     "masks",
     "matches",
     "training",
+    "evaluation",
     "reference",
     "heat",
     "keypoints",
@@ -302,7 +303,7 @@ def test_a_broken_artifact_spoils_only_its_own_section(tmp_path):
         file.write_bytes(b"x" * 50)
     page = Page(write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8"))
     assert "This could not be read" in page.text
-    assert page.sections == SECTIONS - {"training"}
+    assert page.sections == SECTIONS - {"training", "evaluation"}
     assert "error" in summarise(dataset)["masks"]["scan-a"]
 
 
@@ -319,7 +320,7 @@ def test_labels_of_other_frames_than_the_track_s_are_not_held_against_it(tmp_pat
     assert "error" in summarise(dataset)["keypoints"]["main"]["demo-a"]
     page = Page(write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8"))
     assert "This could not be read" in page.text
-    assert page.sections == SECTIONS - {"training"}
+    assert page.sections == SECTIONS - {"training", "evaluation"}
 
 
 def test_heat_maps_are_of_keypoints_whose_object_is_there(tmp_path, monkeypatch):
