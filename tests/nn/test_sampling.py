@@ -278,6 +278,29 @@ def test_a_padded_crop_keeps_its_scale_and_paints_over_the_rest():
     assert abs(np.corrcoef(heights, widths)[0, 1]) < 0.5
 
 
+def test_everything_off_the_objects_is_painted_over_and_the_objects_are_not():
+    source, sample = RampPairs(2), replace(SAMPLE, size=RAMP_SIZE)
+    for step in range(6):
+        plain = batch_of_step(source, 0, step, sample, PLAIN)
+        painted = batch_of_step(source, 0, step, sample, replace(PLAIN, background=1.0))
+        for before, after in ((plain.rgb_a, painted.rgb_a), (plain.rgb_b, painted.rgb_b)):
+            is_object = np.isin(before[..., 2], [source.marker(0, instance) for instance in (1, 2)])
+            same = (before == after).all(axis=-1)
+            assert same[is_object].mean() > 0.98
+            # Pieces of the picture's own background may by chance return to their place.
+            assert same[before[..., 2] == 20].mean() < 0.2
+
+
+def test_what_a_small_image_leaves_free_shows_no_second_object():
+    source, sample = RampPairs(1), replace(SAMPLE, size=RAMP_SIZE, n_pairs=1)
+    marker = source.marker(0, 1)
+    for step in range(10):
+        whole = batch_of_step(source, 0, step, sample, PLAIN).rgb_a[0]
+        small = batch_of_step(source, 0, step, sample, replace(PLAIN, zoom=(0.6, 0.6))).rgb_a[0]
+        # Mirrored at its edges, as layers are, the image would show more of the object than before.
+        assert (small[..., 2] == marker).sum() < 0.5 * (whole[..., 2] == marker).sum()
+
+
 def test_a_match_at_the_very_edge_of_its_object_is_used_when_there_is_no_other():
     source = RampPairs(1)
     pair = source.pair(0)
