@@ -818,22 +818,23 @@ def view(
     ] = None,
     every: Annotated[int, typer.Option(min=1, help="Show each so many-th frame.")] = 1,
     pairs: Annotated[int, typer.Option(min=0, help="Most pairs of views whose matches are shown, a scene.")] = 40,
-    variant: Annotated[str, typer.Option(help="Of the keypoints.", metavar="NAME")] = "main",
+    variant: Annotated[str, typer.Option(help="Of network, heat maps and keypoints.", metavar="NAME")] = "main",
     force: Annotated[bool, typer.Option("--force", help="Replace FILE.")] = False,
     json_: Json = False,
 ) -> None:
     """Walk through scenes and demonstrations in the Rerun viewer, or save what it shows."""
     from tempfile import TemporaryDirectory
 
-    from bask_data.kinds import KeypointTrack
+    from bask_data.kinds import DescriptorNet, KeypointTrack, ReferenceKeypoints
     from bask_data.view import Choice, save_recording
     from bask_data.view.windows import has_display, serve, show
 
     dataset = Dataset(root)
     items = _chosen_recordings(dataset, only)
-    if variant not in dataset.variants(KeypointTrack):
-        known = ", ".join(dataset.variants(KeypointTrack))
-        raise UsageError(root, "--variant", expected=f"one of {known}", got=variant)
+    kinds = DescriptorNet, ReferenceKeypoints, KeypointTrack
+    variants = dict.fromkeys(name for kind in kinds for name in dataset.variants(kind))
+    if variant not in variants:
+        raise UsageError(root, "--variant", expected=f"one of {', '.join(variants)}", got=variant)
     if port is not None and not web:
         raise UsageError("view", "--port", expected="to come with --web", got="it alone", fix="--web --port N")
     if not (save or web or has_display()):

@@ -10,10 +10,11 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from bask_data.cli import app
-from bask_data.dataset import Dataset
+from bask_data.dataset import Dataset, Variant
 from bask_data.errors import BaskError, UsageError
+from bask_data.kinds import DescriptorNet
 from bask_data.view.windows import has_display, serve, show
-from tests.report.filled import filled_dataset
+from tests.report.filled import filled_dataset, publish_network
 from tests.view.recordings import Recording
 
 
@@ -143,6 +144,17 @@ def test_what_is_shown_and_what_is_not_is_told_to_people_and_scripts(dataset, tm
     assert "shown       scan-a: 3 frames of wrist; surface, instances, masks, truth" in ended.stderr
     assert "not there   demo-a: gripper (only cameras were recorded)" in ended.stderr
     assert f"open it with: rerun {tmp_path / 'a.rrd'}" in ended.stderr
+
+
+def test_a_network_s_variant_may_be_shown(tmp_path):
+    dataset = filled_dataset(tmp_path / "d")
+    dataset.add_variant(DescriptorNet, "florence", Variant())
+    publish_network(dataset, variant="florence")
+    ended = view(dataset.root, "--variant", "florence", "--save", tmp_path / "a.rrd", "--only", "scan-a", "--json")
+    assert ended.exit_code == 0, ended.stderr
+    assert "heat maps" in json.loads(ended.stdout)["items"]["scan-a"]["layers"]
+    ended = view(dataset.root, "--variant", "b", "--save", tmp_path / "b.rrd")
+    assert "--variant: expected one of main, florence, got b" in ended.stderr
 
 
 @pytest.mark.parametrize(
