@@ -60,7 +60,7 @@ def _no_weights() -> Path:
 
 
 _EFFICIENTNET = Backbone(
-    "EfficientNet-Lite0 with ImageNet weights, features of strides 2 to 16 at stride 8",
+    "EfficientNet-Lite0, features of strides 2 to 16 at stride 8",
     _efficientnet,
     weights=efficientnet.installed_weights,
     ignored=(*(f"_blocks.{i}." for i in range(efficientnet.N_BLOCKS, 16)), "_conv_head.", "_bn1.", "_fc."),

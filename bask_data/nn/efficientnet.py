@@ -156,4 +156,4 @@ def _at_stride_8(
 
 
 def _norm(n_channels: int) -> nn.BatchNorm2d:
-    return nn.BatchNorm2d(n_channels, eps=1e-3, momentum=0.01)
+    return nn.BatchNorm2d(n_channels, eps=1e-3)

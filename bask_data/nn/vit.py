@@ -58,16 +58,14 @@ def sizes_of(state: Mapping[str, Tensor]) -> Sizes:
     expected = ("patch_embed.proj.weight", "cls_token", "pos_embed", "blocks.0.attn.qkv.weight")
     missing = [name for name in expected if name not in state]
     if missing:
-        raise ValueError(
-            f"expected names of a DINOv2-style ViT, such as {missing[0]}, got {', '.join(sorted(state)[:3])}"
-        )
+        raise ValueError(f"names such as {min(state, default='none')}, not {missing[0]}")
     gated = "blocks.0.mlp.w12.weight" in state
     width, _, patch, _ = state["patch_embed.proj.weight"].shape
     if width % CHANNELS_PER_HEAD:
-        raise ValueError(f"expected a ViT with a multiple of {CHANNELS_PER_HEAD} channels, got {width}")
+        raise ValueError(f"{width} channels, not a multiple of {CHANNELS_PER_HEAD}")
     n_positions = state["pos_embed"].shape[1]
     if n_positions - math.isqrt(n_positions) ** 2 > 1:
-        raise ValueError(f"expected positions of a square of patches and a class token, got {n_positions}")
+        raise ValueError(f"{n_positions} positions, not those of a square of patches and a class token")
     registers = state.get("register_tokens")
     hidden = state["blocks.0.mlp.w3.weight" if gated else "blocks.0.mlp.fc2.weight"]
     return Sizes(

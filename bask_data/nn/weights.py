@@ -49,7 +49,7 @@ def load_weights(encoder: nn.Module, state: Mapping[str, Tensor], ignored: tuple
     needed = [name for name in own if not name.startswith("head.") and not name.endswith("num_batches_tracked")]
     missing = [name for name in needed if name not in state]
     if len(missing) == len(needed):
-        raise ValueError(f"expected names such as {needed[0]}, got {', '.join(sorted(state)[:3])}")
+        raise ValueError(f"names such as {min(state, default='none')}, not {needed[0]}")
     if missing:
         raise ValueError(f"{missing[0]} is missing, one of {len(missing)}")
     unknown = [name for name in state if name not in own and not name.startswith(ignored)]

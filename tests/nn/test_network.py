@@ -187,7 +187,7 @@ def test_a_vit_without_a_file_is_refused():
 
 def test_a_file_of_another_backbone_is_refused(tmp_path):
     save_file(a_vit(), tmp_path / "vit.safetensors")
-    with pytest.raises(ValueError, match="expected names such as conv1.weight, got blocks.0.attn.proj.bias"):
+    with pytest.raises(ValueError, match="names such as blocks.0.attn.proj.bias, not conv1.weight"):
         create(NetworkSettings("resnet18", 8, 48), 0, tmp_path / "vit.safetensors")
 
 

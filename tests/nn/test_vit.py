@@ -179,12 +179,12 @@ def test_positions_between_learned_ones_keep_their_place(kind):
     [
         (
             {"conv1.weight": torch.zeros(3)},
-            "expected names of a DINOv2-style ViT, such as patch_embed.proj.weight, got",
+            "names such as conv1.weight, not patch_embed.proj.weight",
         ),
-        ({"pos_embed": torch.zeros(1, 19, 128)}, "expected positions of a square of patches and a class token, got 19"),
+        ({"pos_embed": torch.zeros(1, 19, 128)}, "19 positions, not those of a square of patches and a class token"),
         (
             {"patch_embed.proj.weight": torch.zeros(96, 3, 8, 8)},
-            "expected a ViT with a multiple of 64 channels, got 96",
+            "96 channels, not a multiple of 64",
         ),
     ],
 )

@@ -69,7 +69,7 @@ def without(state: dict[str, torch.Tensor], start: str) -> dict[str, torch.Tenso
             {"layer1.0.conv1.weight": torch.zeros(64, 64, 1, 1)},
             r"layer1.0.conv1.weight: expected shape \(64, 64, 3, 3\), got \(64, 64, 1, 1\)",
         ),
-        ({"blocks.0.weight": torch.zeros(3)}, r"expected names such as conv1.weight, got blocks.0.weight"),
+        ({"blocks.0.weight": torch.zeros(3)}, r"names such as blocks.0.weight, not conv1.weight"),
         (without(published(), "layer4"), r"layer4.0.conv1.weight is missing, one of 25"),
         # A ResNet-34 begins as a ResNet-18 does.
         (published(depth=34), r"layer1.2.conv1.weight is not known, one of 96"),
