@@ -149,12 +149,12 @@ class Queries:
     magnification: np.ndarray
 
 
-def _queries(frames: Frames, frame: Frame, uv: np.ndarray, label: np.ndarray) -> Queries:
+def _queries(frames: Frames, frame: Frame, uv: np.ndarray, label: np.ndarray, depth: np.ndarray) -> Queries:
     from bask_data.core.geometry import transform
     from bask_data.core.local_warp import surface_tangents
 
     K, world = frames.K(frame.camera), frames.world_from_camera(frame)
-    points, tangents = surface_tangents(uv, frames.depth(frame), frames.labels(frame), K)
+    points, tangents = surface_tangents(uv, depth, frames.labels(frame), K)
     magnification = K[1, 1] / points[:, 2] / frames.size(frame.camera)[0]
     return Queries(uv, label, transform(world, points), world[:3, :3] @ tangents, magnification)
 
@@ -170,7 +170,7 @@ def _drawn(frames: Frames, frame: Frame, rng: np.random.Generator) -> Queries:
     taken = shares(np.array([len(one) for one in pixels.values()]), N_QUERIES)
     drawn = [rng.choice(one, n, replace=False) for one, n in zip(pixels.values(), taken, strict=True)]
     v, u = np.divmod(np.concatenate(drawn), labels.shape[1])
-    return _queries(frames, frame, np.stack([u, v], axis=1).astype(float), np.repeat(list(pixels), taken))
+    return _queries(frames, frame, np.stack([u, v], axis=1).astype(float), np.repeat(list(pixels), taken), depth)
 
 
 def _by_truth(frames: Frames, chosen: list[Frame], rng: np.random.Generator) -> list[PairMatches]:
@@ -269,6 +269,7 @@ def _by_correspondences(
     import numpy as np
 
     from bask_data.core.geometry import unproject
+    from bask_data.core.heatmap import fill_depth
     from bask_data.core.scores import true_depth
 
     stored = Correspondences(dataset.path(Correspondences, frames.scene))
@@ -285,7 +286,9 @@ def _by_correspondences(
         label = column["instance"][rows].astype(np.int64)
         visible = np.full(256, np.nan)
         visible[1 : 1 + frames.masks.n_instances] = fractions[b.camera][b.i]
-        columns = _projected(frames, b, _queries(frames, a, uv_a, label), visible)
+        # Where nothing was measured the nearest measurement will do to tell how far away the surface is.
+        queries = _queries(frames, a, uv_a, label, fill_depth(frames.depth(a)))
+        columns = _projected(frames, b, queries, visible)
         z = true_depth(frames.depth(b), frames.labels(b), uv_b)
         points_b = unproject(uv_b, np.where(z > 0, z, np.nan), frames.K(b.camera))
         found.append(PairMatches(frames.scene, a, b, False, **{**columns, "uv_b": uv_b, "points_b": points_b}))
