@@ -106,6 +106,22 @@ def test_escape_sequences_from_strangers_never_reach_the_terminal(capsys: pytest
     assert capsys.readouterr().err == "ab]0;titlec31m\nd\n"
 
 
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_what_is_told_during_a_loop_is_seen_at_once(
+    is_terminal: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from bask_data.console import shown_progress
+    from bask_data.progress import progress, tell
+
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
+    with shown_progress():
+        for i in progress(range(3), "training"):
+            tell(f"step {i}: [loss] \x1b[31m0.5")
+            assert f"  ...         step {i}: [loss] 0.5\n" in capsys.readouterr().err
+    tell("nobody listens")
+    assert "nobody" not in capsys.readouterr().err
+
+
 def test_dry_run_says_what_and_why_and_makes_nothing(dataset: Dataset) -> None:
     ended = cli("run", dataset.root, "--dry-run", "--json")
     outcomes = json.loads(ended.stdout)["outcomes"]

@@ -15,7 +15,7 @@ from bask_data.artifact import read_manifest
 from bask_data.dataset import Dataset, Splits, Variant
 from bask_data.errors import UsageError
 from bask_data.kinds import Demonstration, DescriptorNet, Reconstruction, Scan
-from bask_data.stage import Outcome, Stage, State, in_order, make, plan, run, state_of
+from bask_data.stage import Outcome, Stage, State, follow, in_order, is_follower, make, plan, run, state_of
 from tests.datasets import publish_recording
 from tests.toy_stages import fuse, learn, pick
 
@@ -233,6 +233,39 @@ def test_provenance_lies_outside_the_artifact(dataset: Dataset) -> None:
     record = json.loads((dataset.root / "provenance" / "reconstruction" / "a.json").read_text())
     assert record["key"] == read_manifest(dataset.path(Reconstruction, "a")).key
     assert {"user", "host", "time", "seconds", "process_peak_bytes", "bask_data"} <= record.keys()
+
+
+def test_logs_lie_outside_the_artifact_by_kind_and_variant(dataset: Dataset) -> None:
+    for made in (fuse, pick):
+        statuses(dataset, made)
+    assert one(dataset, learn, variant="small").status == "made"
+    assert [file.name for file in (dataset.root / "runs" / "descriptor" / "small").iterdir()] == ["process0"]
+
+
+def test_of_several_processes_the_first_publishes_and_the_others_take_part(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for made in (fuse, pick):
+        statuses(dataset, made)
+    assert not is_follower()
+    for name, value in (("TORCHELASTIC_RUN_ID", "none"), ("WORLD_SIZE", "2"), ("RANK", "1")):
+        monkeypatch.setenv(name, value)
+    assert is_follower()
+    [task] = plan(dataset, learn)
+    follow(task, force=False)
+    assert not task.target.exists()
+    monkeypatch.setenv("RANK", "0")
+    assert not is_follower()
+    assert make(task).status == "made"
+    logs = dataset.root / "runs" / "descriptor" / "main"
+    # Both were given the same folder, or the others could not go on from what the first saved.
+    assert (logs / "process0").read_text() == (logs / "process1").read_text()
+    (logs / "process1").unlink()
+    monkeypatch.setenv("RANK", "1")
+    follow(task, force=False)
+    assert not (logs / "process1").exists(), "there is nothing left to do"
+    follow(task, force=True)
+    assert (logs / "process1").exists()
 
 
 def test_open_with_plain_zarr(dataset: Dataset) -> None:

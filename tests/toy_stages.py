@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from pydantic import Field
 
 from bask_data.errors import BadData
 from bask_data.kinds import DescriptorNet, InstanceRow, ObjectInstances, Reconstruction, Scan
-from bask_data.stage import Params, Splits, stage
+from bask_data.stage import Params, Splits, is_follower, stage
 
 
 class FuseParams(Params):
@@ -52,9 +53,13 @@ def pick(reconstruction: Reconstruction, out: Path) -> None:
     )
 
 
-@stage(makes=DescriptorNet, version=1, resumable=True)
-def learn(scans: list[Scan], objects: list[ObjectInstances], splits: Splits, out: Path) -> None:
+@stage(makes=DescriptorNet, version=1, resumable=True, together=True)
+def learn(scans: list[Scan], objects: list[ObjectInstances], splits: Splits, out: Path, log: Path) -> None:
     """Counts to three, failing once on the way."""
+    log.mkdir(parents=True, exist_ok=True)
+    (log / f"process{os.environ.get('RANK', 0)}").write_text(out.name)
+    if is_follower():
+        return
     progress_file = out / "state"
     n_done = int(progress_file.read_text()) if progress_file.exists() else 0
     for n in range(n_done + 1, 4):
