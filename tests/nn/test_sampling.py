@@ -301,6 +301,18 @@ def test_what_a_small_image_leaves_free_shows_no_second_object():
         assert (small[..., 2] == marker).sum() < 0.5 * (whole[..., 2] == marker).sum()
 
 
+def test_both_images_of_a_pair_are_mirrored_or_neither():
+    source, n_mirrored = RampPairs(1), 0
+    for step in range(20):
+        batch = batch_of_step(source, 0, step, replace(SAMPLE, n_pairs=1), replace(PLAIN, flip=0.5, rotation=1.0))
+        images = ((batch.rgb_a[0], batch.uv_a[0]), (batch.rgb_b[0], batch.uv_b[0]))
+        matrices = [plane_from_pixels(rgb, uv, source.marker(0, 1)) for rgb, uv in images]
+        is_mirrored = [np.linalg.det(matrix[:2]) < 0 for matrix in matrices]
+        assert is_mirrored[0] == is_mirrored[1]
+        n_mirrored += is_mirrored[0]
+    assert 4 <= n_mirrored <= 16
+
+
 def test_a_match_at_the_very_edge_of_its_object_is_used_when_there_is_no_other():
     source = RampPairs(1)
     pair = source.pair(0)
