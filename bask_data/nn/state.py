@@ -88,7 +88,7 @@ def load_state(folder: Path, network: nn.Module, optimiser: torch.optim.Optimize
     for name, value in tensors.items():
         if name.startswith("optimiser."):
             _, i, key = name.split(".")
-            # Moments lie in memory as their parameter does, or the step would be slower than before.
+            # Moments have to lie in memory as their parameter does: a fused step goes through all of them in one order.
             like = parameters[int(i)]
             moved = torch.empty_like(like).copy_(value) if value.shape == like.shape else value
             state["state"].setdefault(int(i), {})[key] = moved

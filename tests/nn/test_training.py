@@ -8,6 +8,7 @@ import torch
 
 from bask_data.nn import training
 from bask_data.nn.augment import AugmentSettings
+from bask_data.nn.loss import Terms
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings
 from bask_data.nn.sampling import SampleSettings
 from bask_data.nn.state import BEST, STATE
@@ -266,6 +267,26 @@ def test_bfloat16_computes_in_it_and_ends_near_float32():
     assert losses["bfloat16"] == pytest.approx(losses["float32"], rel=0.1)
     assert uses_bfloat16("bfloat16", torch.device("cpu"))
     assert not uses_bfloat16("float32", torch.device("cpu"))
+
+
+def test_steps_are_those_of_adam(monkeypatch):
+    monkeypatch.setattr(training, "_terms", lambda model, batch, settings: weights_as_terms(network))
+    network = new_network()
+    expected = [value.detach().clone().requires_grad_() for value in network.trainable_parameters()]
+    settings = replace(SETTINGS, steps=3, weight_decay=0.1, schedule="step", decay=1.0)
+    optimiser = torch.optim.Adam(expected, lr=settings.learning_rate, weight_decay=0.1, foreach=False)
+    for _ in range(3):
+        optimiser.zero_grad()
+        sum(value.square().sum() for value in expected).backward()
+        optimiser.step()
+    train_network(network, ScenePairs(), SAMPLE, AUGMENT, settings)
+    for found, value in zip(network.trainable_parameters(), expected, strict=True):
+        torch.testing.assert_close(found, value)
+
+
+def weights_as_terms(network: DescriptorNetwork) -> Terms:
+    loss = sum(value.square().sum() for value in network.trainable_parameters())
+    return Terms(loss, {"loss": torch.stack([loss.detach(), torch.tensor(1.0)])})
 
 
 def test_rates_follow_their_schedule():
