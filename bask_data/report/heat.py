@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,8 +25,10 @@ from bask_data.report.points import (
 )
 from bask_data.report.sections import Chosen, Part, per_item
 
-N_POINTS = 5
-"""Points looked for; each has a row for every network."""
+N_SCANS = 3
+"""Scans whose points are looked for: the first ones of each set of objects."""
+N_POINTS, N_POINTS_OF_MANY = 5, 2
+"""Points looked for, of one scan and of each of several; each has a row for every network."""
 N_FRAMES = 4
 TILE, CROP = 280, 200
 
@@ -45,34 +48,56 @@ def heat_maps(chosen: Chosen) -> list[Part]:
             finders[variant] = Finder(dataset, variant, network, picks)
         except figures.UNREADABLE as error:
             failed.append({"title": variant, "error": figures.what_is_wrong(error)})
-    shown = _heat_recordings(chosen, picks) if finders else {}
-    return [*failed, *per_item(list(shown), lambda name: _heat_part(chosen, name, shown[name], picks, finders))]
+    described = np.all([finder.described for finder in finders.values()], axis=0) if finders else np.zeros(0, bool)
+    if finders and not described.any():
+        failed.append({"title": "", "why_not": "the points were picked in images that this dataset does not hold"})
+    searches = _searches(chosen, picks, described) if described.any() else {}
+    return [*failed, *per_item(list(searches), lambda title: _heat_part(chosen, searches[title], picks, finders))]
 
 
-def _heat_recordings(chosen: Chosen, picks: Sequence[Pick]) -> dict[str, str]:
-    """What points are looked for in, and what it is: a held-out scene, their own scan, a demonstration."""
-    splits, found = chosen.dataset.file.splits, {}
-    held_out = [name for name in (*splits.test, *splits.validation) if find_recording(chosen.dataset, name)]
-    # The objects of another task are nowhere to be found.
-    with_place = (
-        name for name in held_out if any(p is not None for p in TruePlaces(chosen.dataset, picks, name).places)
-    )
-    for name in [next(with_place, *held_out[:1] or [""])]:
-        found[name] = "a held-out scene"
-    for name in [pick.recording for pick in picks[:1]]:
-        found.setdefault(name, "the scan they were picked in")
-    for name in chosen.demonstrations[:1]:
-        found.setdefault(name, "a demonstration")
-    return {name: what for name, what in found.items() if find_recording(chosen.dataset, name)}
+@dataclass(frozen=True)
+class _Search:
+    """A recording, what it is, and the points that are looked for in it."""
+
+    recording: Recording
+    title: str
+    places: TruePlaces
+    indices: list[int]
 
 
-def _heat_part(chosen: Chosen, name: str, what: str, picks: Sequence[Pick], finders: dict[str, Finder]) -> Part:
-    recording, places = find_recording(chosen.dataset, name), TruePlaces(chosen.dataset, picks, name)
-    assert recording is not None, "looked for before"
-    described = np.all([finder.described for finder in finders.values()], axis=0)
-    indices = _one_of_each_object(picks, places.absent, described)
-    if not indices:
-        return {"title": name, "why_not": "the points were picked in images that this dataset does not hold"}
+def _searches(chosen: Chosen, picks: Sequence[Pick], described: np.ndarray) -> dict[str, _Search]:
+    """What to look for where: in a held-out scene, in the scan the points were picked in, in a demonstration.
+
+    Points of several scans show other objects each, so each need a held-out scene of their own, and are fewer.
+    """
+    scans = list(dict.fromkeys(pick.recording for pick in picks))[:N_SCANS]
+    n_points = N_POINTS if len(scans) == 1 else N_POINTS_OF_MANY
+    wanted = [(_held_out_scene(chosen, picks, scan, len(scans) == 1), "a held-out scene", scan) for scan in scans]
+    if len(scans) == 1 or not any(name for name, _, _ in wanted):
+        wanted += [(scan, "the scan they were picked in", scan) for scan in scans]
+    wanted += [(name, "a demonstration", scans[0]) for name in chosen.demonstrations[:1]]
+    found = {}
+    for name, what, scan in wanted:
+        recording, places = find_recording(chosen.dataset, name), TruePlaces(chosen.dataset, picks, name)
+        mine = described & np.array([pick.recording == scan for pick in picks])
+        indices = _one_of_each_object(picks, places.absent, mine, n_points)
+        if recording is not None and indices:
+            found[f"{name}: {what}"] = _Search(recording, what, places, indices)
+    return found
+
+
+def _held_out_scene(chosen: Chosen, picks: Sequence[Pick], scan: str, is_only: bool) -> str:
+    """The first in which it is known where a point of the scan is, for other tasks' objects are nowhere to be found; or
+    else, for the only scan, the first. Empty if there is none."""
+    dataset, mine = chosen.dataset, [pick for pick in picks if pick.recording == scan]
+    splits = dataset.file.splits
+    held_out = [name for name in (*splits.test, *splits.validation) if name != scan and find_recording(dataset, name)]
+    known = (name for name in held_out if any(one is not None for one in TruePlaces(dataset, mine, name).places))
+    return next(known, held_out[0] if is_only and held_out else "")
+
+
+def _heat_part(chosen: Chosen, search: _Search, picks: Sequence[Pick], finders: dict[str, Finder]) -> Part:
+    recording, places, indices = search.recording, search.places, search.indices
     n_frames = max(min(chosen.n_frames // 2, N_FRAMES), 1)
     camera, frames = _frames_in_view(recording, places, picks, indices, n_frames)
     colours = draw.palette(len(picks))
@@ -85,7 +110,7 @@ def _heat_part(chosen: Chosen, name: str, what: str, picks: Sequence[Pick], find
                 tiles[i, variant].append(_heat_tile(rgb, sight, row, truth, i, colours[i], i_frame))
     first = next(iter(finders))
     return {
-        "title": f"{name}, {camera.name}: {what}",
+        "title": f"{recording.path.name}, {camera.name}: {search.title}",
         "rows": [
             {
                 "number": i + 1,
@@ -103,7 +128,7 @@ def _heat_part(chosen: Chosen, name: str, what: str, picks: Sequence[Pick], find
         "n_left_out": len(picks) - len(indices),
         "alphas": [(variant, finder.alpha) for variant, finder in finders.items()],
         "gradient": draw.heat_gradient(),
-        "with_truth": any(place is not None for place in places.places),
+        "with_truth": any(places.places[i] is not None for i in indices),
         "why_not": "",
     }
 
@@ -138,15 +163,15 @@ def _heat_tile(
     return {"uri": uri, "text": ", ".join(part for part in (f"frame {i_frame}", text, nearest) if part)}
 
 
-def _one_of_each_object(picks: Sequence[Pick], absent: Sequence[bool], described: np.ndarray) -> list[int]:
+def _one_of_each_object(picks: Sequence[Pick], absent: Sequence[bool], among: np.ndarray, n: int) -> list[int]:
     """A few points, taking turns between the objects they were picked on; those that cannot be found come last."""
     turns: dict[int, int] = {}
     order = []
     for i, pick in enumerate(picks):
-        if described[i]:
+        if among[i]:
             turns[pick.instance] = turns.get(pick.instance, 0) + 1
             order.append((absent[i], turns[pick.instance], i))
-    return sorted(i for _, _, i in sorted(order)[:N_POINTS])
+    return sorted(i for _, _, i in sorted(order)[:n])
 
 
 def _crop(dataset: Dataset, pick: Pick) -> str:

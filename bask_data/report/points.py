@@ -13,6 +13,7 @@ from bask_data.core.geometry import in_image, invert_rigid, project, scale_pixel
 from bask_data.core.heatmap import softmax_map
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
+from bask_data.evaluation.held_out import learned_scenes
 from bask_data.kinds import Camera, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Scan, Truth, VisibleMasks
 from bask_data.report.figures import find, find_recording, find_truth, input_variant, loaded, spread_frames
 
@@ -34,20 +35,21 @@ SEEN, BEHIND, OUTSIDE, UNKNOWN = "seen", "hidden", "out of view", "unknown"
 
 def reference_points(dataset: Dataset, variants: Sequence[str]) -> list[Pick]:
     """The picks of the first of these variants that has reference keypoints, or else some well inside the objects of
-    one frame of the first training scene: all networks are asked for the same points."""
+    one frame of a training scene, of each set of objects that occurs together: all networks are asked for the same."""
     for variant in variants:
         found = find(dataset, ReferenceKeypoints, "", variant)
         if found is not None and found.picks:
             return found.picks
-    scenes = [*dataset.file.splits.train, *dataset.items("scene")]
-    for name in dict.fromkeys(scenes):
-        scan, masks = find(dataset, Scan, name), find(dataset, VisibleMasks, name)
+    scene_of: dict[frozenset[str], tuple[Scan, VisibleMasks]] = {}
+    for name in learned_scenes(dataset):
+        scan, masks, truth = find(dataset, Scan, name), find(dataset, VisibleMasks, name), find_truth(dataset, name)
         if scan is not None and masks is not None and masks.n_instances:
-            return _inner_points(scan, masks)
-    return []
+            # Without labels nobody knows which scenes show the same.
+            scene_of.setdefault(frozenset(truth.label_names.values() if truth else ()), (scan, masks))
+    return [pick for scan, masks in scene_of.values() for pick in _inner_points(dataset, scan, masks)]
 
 
-def _inner_points(scan: Scan, masks: VisibleMasks) -> list[Pick]:
+def _inner_points(dataset: Dataset, scan: Scan, masks: VisibleMasks) -> list[Pick]:
     """Points of the frame that shows most of all objects, spread over each of them."""
     from bask_data.nn.selection import inner_pixels, spread_out
 
@@ -64,11 +66,17 @@ def _inner_points(scan: Scan, masks: VisibleMasks) -> list[Pick]:
         if not len(uv) or not n:
             continue
         points = _lifted(camera, i_frame, uv, depth)
-        for j, row in enumerate(spread_out(points, np.zeros(len(uv)), min(n, len(uv)))):
+        for row in spread_out(points, np.zeros(len(uv)), min(n, len(uv))):
             (u, v), (x, y, z) = uv[row].tolist(), points[row].tolist()
             where = {"recording": scan.path.name, "camera": camera.name, "frame": i_frame, "u": u, "v": v}
-            picks.append(Pick(name=f"object_{i}_{j}", instance=i, point_world=(x, y, z), **where))
-    return picks
+            picks.append(Pick(name=f"object_{i}", instance=i, point_world=(x, y, z), **where))
+    return [pick.model_copy(update={"name": _object_name(dataset, pick)}) for pick in picks]
+
+
+def _object_name(dataset: Dataset, pick: Pick) -> str:
+    """The label's where there is one, else the instance's number."""
+    truth, label = find_truth(dataset, pick.recording), picked_label(dataset, pick)
+    return truth.label_names.get(label, pick.name) if truth and label > 0 else pick.name
 
 
 def _fullest_frame(scan: Scan, masks: VisibleMasks) -> tuple[Camera, int]:

@@ -23,7 +23,19 @@ from bask_data.report.points import (
     reference_points,
 )
 from tests.datasets import publish_artifact
-from tests.report.filled import HEIGHT, LABELS, WIDTH, Views, filled_dataset, make_views, publish_network, true_places
+from tests.report.filled import (
+    HEIGHT,
+    LABELS,
+    WIDTH,
+    Views,
+    filled_dataset,
+    make_views,
+    publish_frames,
+    publish_network,
+    publish_scene,
+    publish_truth,
+    true_places,
+)
 
 
 @pytest.fixture(scope="module")
@@ -238,6 +250,20 @@ def test_without_reference_keypoints_points_lie_well_inside_the_objects_of_one_f
         mine = uv[[pick.instance == i for pick in picks]]
         extent = np.ptp(np.argwhere(instance == i), axis=0).max()
         assert np.ptp(mine, axis=0).max() > 0.5 * extent, "spread over the object"
+
+
+def test_each_set_of_objects_has_points_of_its_own_with_the_names_of_its_objects(tmp_path):
+    dataset = filled_dataset(tmp_path / "d")
+    seen = make_views(0.5, 6)
+    for name, label_name in (("scan-b", "tissue box"), ("scan-c", "toaster")):
+        publish_frames(dataset, name, seen)
+        publish_truth(dataset, name, seen, label_name)
+        publish_scene(dataset, name, seen)
+    picks = reference_points(dataset, ["other"])
+    assert {pick.recording for pick in picks} == {"scan-a", "scan-c"}, "scan-b shows what scan-a shows"
+    assert {pick.name for pick in picks if pick.recording == "scan-c"} == {"stems", "toaster"}
+    true = TruePlaces(dataset, picks, "scan-b")
+    assert [pick.name == "toaster" for pick in picks] == true.absent
 
 
 def test_an_empty_dataset_has_no_points(tmp_path):

@@ -240,7 +240,7 @@ def test_figures_on_the_page_are_those_of_the_summary(full_html, found):
         *(f"{row['iou']:.3f}" for row in found["masks"]["scan-a"]["labels"]),
         f"{found['correspondences']['scan-a']['n_matches']} matches in 3 pairs",
         f"{number(found['reconstruction']['scan-a']['n_vertices'])} vertices",
-        "Validated on: held-out frames of scan-a. 99 steps.",
+        "Validated on: held-out frames of scan-a. 99 steps; the weights are those of step 80",
         "2 small clusters were dropped",
         "most matches: wrist frame",
         "outside b",
