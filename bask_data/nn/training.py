@@ -102,7 +102,8 @@ def train_network(
     """Train in place; of several processes the first has the weights that validated best, the others the last.
 
     Interrupted and called again with the same arguments and an untrained network, it goes on from the last saved state
-    and ends with the same weights, to the bit on one machine and number of threads.
+    and ends with the same weights: on a CPU to the bit, with the same number of threads; on a GPU, whose sums are in no
+    fixed order, nearly.
 
     Args:
         state_folder: where the state is saved, and looked for at the start; `remove_state` takes it away when the

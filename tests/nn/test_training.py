@@ -10,7 +10,7 @@ from bask_data.nn import training
 from bask_data.nn.augment import AugmentSettings
 from bask_data.nn.loss import Terms
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings
-from bask_data.nn.sampling import SampleSettings
+from bask_data.nn.sampling import SampleSettings, batch_of_step, plan_of_step
 from bask_data.nn.state import BEST, STATE
 from bask_data.nn.training import TrainingSettings, best_step, learning_rate, train_network, uses_bfloat16
 from tests.nn.pairs import ScenePairs
@@ -232,6 +232,17 @@ def test_frozen_batch_norm_keeps_its_statistics_after_validation_too():
     after = weights(network)
     assert all(torch.equal(before[name], after[name]) for name in before if "running" in name)
     assert not torch.equal(before["encoder.conv1.weight"], after["encoder.conv1.weight"])
+
+
+def test_a_planned_batch_drawn_on_the_device_trains_as_one_drawn_before():
+    given = (ScenePairs(), 0, 1, replace(SAMPLE, n_pairs=2, foreground_share=0.5), AUGMENT)
+    cpu, losses = torch.device("cpu"), []
+    for made in (batch_of_step(*given), plan_of_step(*given)):
+        terms = training._terms(new_network(), training._on_device(made, cpu), SETTINGS)
+        losses.append({name: float(value / count) for name, (value, count) in terms.logged.items()})
+    # Images are equal to the rounding of grey levels.
+    assert losses[0] == pytest.approx(losses[1], rel=0.02)
+    assert losses[0]["loss"] > 0.1
 
 
 def test_what_is_frozen_is_not_trained():
