@@ -15,7 +15,7 @@ from bask_data.nn.state import BEST, STATE
 from bask_data.nn.training import TrainingSettings, best_step, learning_rate, train_network, uses_bfloat16
 from tests.nn.pairs import ScenePairs
 
-SAMPLE = SampleSettings(size=(32, 40), n_pairs=1, n_matches=24, n_non_matches=30)
+SAMPLE = SampleSettings((32, 40), n_pairs=1, n_matches=24, n_non_matches=30, foreground_share=0.5, clearance=1.0)
 SETTINGS = TrainingSettings(steps=6, learning_rate=1e-3, precision="float32", log_every=2, save_share=inf)
 AUGMENT = AugmentSettings(rotation=0.3)
 CONTRASTIVE = {
@@ -235,7 +235,7 @@ def test_frozen_batch_norm_keeps_its_statistics_after_validation_too():
 
 
 def test_a_planned_batch_drawn_on_the_device_trains_as_one_drawn_before():
-    given = (ScenePairs(), 0, 1, replace(SAMPLE, n_pairs=2, foreground_share=0.5), AUGMENT)
+    given = (ScenePairs(), 0, 1, replace(SAMPLE, n_pairs=2), AUGMENT)
     cpu, losses = torch.device("cpu"), []
     for made in (batch_of_step(*given), plan_of_step(*given)):
         terms = training._terms(new_network(), training._on_device(made, cpu), SETTINGS)
