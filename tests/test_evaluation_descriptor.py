@@ -193,6 +193,12 @@ def test_variants_are_held_against_the_same_matches(found: dict) -> None:
     assert main["by_turn"]["90"]["n"] == blind["by_turn"]["90"]["n"] > 0
 
 
+def test_the_same_seed_gives_the_same_figures_and_another_one_other_matches(shared: Dataset) -> None:
+    one, same, other = (evaluated_descriptor(shared, pairs=2, sweep=True, seed=seed) for seed in (1, 1, 2))
+    assert one == same
+    assert one["variants"]["main"]["all"] != other["variants"]["main"]["all"]
+
+
 def test_a_network_that_knows_positions_only_is_off_by_the_way_of_each_match(
     shared: Dataset, found: dict, candidates: list
 ) -> None:
@@ -403,6 +409,28 @@ def test_without_truth_the_dataset_s_own_matches_are_looked_for(recorded: tuple)
     told = found["variants"]["main"]
     assert told["all"]["pck_4"] > 0.95 and told["all"]["median_3d_m"] < 0.004
     assert set(told["by_object"]) <= {"a 1", "a 2"}
+
+
+def test_a_match_without_depth_has_a_scale_and_a_rotation_all_the_same(recorded: tuple) -> None:
+    dataset, _ = recorded
+    frames = Frames(dataset, "a")
+    whole = candidate_pairs(dataset, frames, HeldOut(("a",), 1.0, ""), 0)
+    measured = frames.depth
+
+    def with_gaps(frame: Frame) -> np.ndarray:
+        depth = measured(frame).copy()
+        depth[:, ::2] = 0
+        return depth
+
+    frames.depth = with_gaps
+    pairs = candidate_pairs(dataset, frames, HeldOut(("a",), 1.0, ""), 0)
+    for pair, one in zip(pairs, whole, strict=True):
+        np.testing.assert_array_equal(pair.uv_a, one.uv_a)
+        assert np.isfinite(pair.scale).all() and np.isfinite(pair.rotation).all()
+        assert np.median(np.abs(pair.scale - one.scale)) < 0.02
+        assert np.median(np.abs(pair.rotation - one.rotation)) < 0.1
+        # How far off a find is in space is told only where the true point was measured.
+        assert np.isnan(pair.points_b[:, 2]).any()
 
 
 def test_matches_of_frames_that_were_trained_on_are_left_out(recorded: tuple) -> None:

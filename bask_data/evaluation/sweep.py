@@ -81,6 +81,8 @@ def swept(
         rgb_a, rgb_b = frames.rgb(pair.a), frames.rgb(pair.b)
         ways = _ways(pair, rgb_b.shape[:2])
         kept = np.all([_stay(pair, frames, *way) for way in ways.values()], axis=0)
+        if not kept.any():
+            continue
         uv_a, uv_b = pair.uv_a[kept], pair.uv_b[kept]
         for (what, condition), (way_a, way_b) in ways.items():
             a = cells[pair.a] if np.array_equal(way_a, np.eye(2, 3)) else described(network, moved(rgb_a, way_a))
