@@ -187,6 +187,24 @@ def test_every_match_is_in_one_bin_of_each_kind(found: dict) -> None:
         assert told["all"]["n"] < totals["scene"]
 
 
+def test_curves_of_all_and_of_each_bin_agree_with_their_figures(found: dict) -> None:
+    for told in found["variants"].values():
+        thresholds = told["curves"]["error_share"]["threshold"]
+        assert thresholds[20] == pytest.approx(0.04)
+        assert told["curves"]["error_share"]["share"][20] == pytest.approx(told["all"]["pck_4"], abs=0.01)
+        assert set(told["curves_by"]) == {"scale", "rotation", "occlusion", "object", "scene"}
+        for what, rows in told["curves_by"].items():
+            for name, curves in rows.items():
+                figures = told[f"by_{what}"][name]
+                assert [len(one) for one in curves.values()] == [101] * 4
+                if not figures["n"]:
+                    assert set(curves["error_share"]) == {None}
+                    continue
+                assert curves["error_share"][20] == pytest.approx(figures["pck_4"], abs=0.01)
+                above = np.trapezoid(1 - np.array(curves["error_share"]), thresholds)
+                assert above == pytest.approx(figures["area_error_share"], abs=0.02)
+
+
 def test_variants_are_held_against_the_same_matches(found: dict) -> None:
     main, blind = found["variants"].values()
     assert [one["n"] for one in main["by_rotation"].values()] == [one["n"] for one in blind["by_rotation"].values()]

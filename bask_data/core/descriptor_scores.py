@@ -172,9 +172,9 @@ def area_above(values: Float[ndarray, " n"], limit: float) -> float | None:
 
 
 def cumulative(values: Float[ndarray, " n"], limit: float) -> tuple[Float[ndarray, " x"], Float[ndarray, " x"]]:
-    """Thresholds from 0 to the limit, and the share of the values that are no larger; NaN is left out."""
+    """Thresholds from 0 to the limit, closer near 0, and the share of the values that are no larger; NaN is left out."""
     known = np.sort(values[~np.isnan(values)])
-    thresholds = np.linspace(0, limit, N_CURVE)
+    thresholds = limit * np.linspace(0, 1, N_CURVE) ** 2
     below = np.searchsorted(known, thresholds, side="right")
     return thresholds, below / len(known) if len(known) else np.full(N_CURVE, np.nan)
 

@@ -41,8 +41,9 @@ def evaluated_descriptor(
 ) -> dict[str, Any]:
     """Figures of each variant on the same matches, as plain JSON values.
 
-    `all` is of pairs of frames that were drawn blindly. What is told apart, `by_scale` and so on, is of these and of as
-    many more that were chosen to fill the emptiest bins.
+    `all` is of pairs of frames that were drawn blindly, and so are `curves` and `calibration`. What is told apart,
+    `by_scale` and so on, is of these and of as many more that were chosen to fill the emptiest bins; so are the curves
+    of `curves_by`, at the thresholds of `curves`.
 
     Args:
         scenes: to measure on; by default what none of the variants was trained on.
@@ -122,20 +123,37 @@ def _told(scored: Sequence[Scored]) -> dict[str, Any]:
     everything = Records.joined([one.records for one in scored])
     random = np.repeat([one.matches.is_random for one in scored], [len(one.records) for one in scored])
     blind = everything.chosen(random)
-    told: dict[str, Any] = {"all": figures(blind)}
-    for what, names in BINS.items():
-        i_bin = np.concatenate([one.matches.bins()[what] for one in scored])
-        told[f"by_{what}"] = {name: figures(everything.chosen(i_bin == i)) for i, name in enumerate(names)}
-    objects = np.array([name for one in scored for name in one.objects])
-    told["by_object"] = {name: figures(everything.chosen(objects == name)) for name in dict.fromkeys(objects.tolist())}
-    scene = np.repeat([one.matches.scene for one in scored], [len(one.records) for one in scored])
-    told["by_scene"] = {name: figures(everything.chosen(scene == name)) for name in dict.fromkeys(scene.tolist())}
-    told["curves"] = {}
+    told: dict[str, Any] = {"all": figures(blind), "curves": {}, "curves_by": {}}
     for name, limit in LIMITS.items():
         thresholds, below = cumulative(getattr(blind, name), limit)
         told["curves"][name] = {"threshold": thresholds.tolist(), "share": _plain(below)}
+    for what, rows in _groups(scored).items():
+        told[f"by_{what}"] = {name: figures(everything.chosen(mine)) for name, mine in rows.items()}
+        told["curves_by"][what] = {
+            name: {
+                metric: _plain(cumulative(getattr(everything, metric)[mine], limit)[1].round(4))
+                for metric, limit in LIMITS.items()
+            }
+            for name, mine in rows.items()
+        }
     told["calibration"] = _calibration(blind)
     return told
+
+
+def _groups(scored: Sequence[Scored]) -> dict[str, dict[str, np.ndarray]]:
+    """By what matches are told apart by and by name, which they are (n,) bool."""
+    import numpy as np
+
+    n_matches = [len(one.records) for one in scored]
+    labels = {"object": np.array([name for one in scored for name in one.objects])}
+    labels["scene"] = np.repeat([one.matches.scene for one in scored], n_matches)
+    groups = {}
+    for what, names in BINS.items():
+        i_bin = np.concatenate([one.matches.bins()[what] for one in scored])
+        groups[what] = {name: i_bin == i for i, name in enumerate(names)}
+    for what, own in labels.items():
+        groups[what] = {name: own == name for name in dict.fromkeys(own.tolist())}
+    return groups
 
 
 def _told_conditions(turned: Sequence[tuple[str, str, Records]]) -> dict[str, Any]:

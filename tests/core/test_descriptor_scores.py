@@ -146,6 +146,7 @@ def test_a_cumulative_curve_counts_and_the_area_above_it_is_its_integral(seed, l
     thresholds, share = cumulative(values, limit)
     known = values[~np.isnan(values)]
     assert len(thresholds) == N_CURVE and thresholds[0] == 0 and thresholds[-1] == pytest.approx(limit)
+    assert thresholds[10] == pytest.approx(limit / 100)
     for threshold, one in zip(thresholds, share, strict=True):
         assert one == sum(value <= threshold for value in known) / len(known)
     fine = np.linspace(0, limit, 20001)
