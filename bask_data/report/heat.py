@@ -30,6 +30,8 @@ N_SCANS = 3
 N_POINTS, N_POINTS_OF_MANY = 5, 2
 """Points looked for, of one scan and of each of several; each has a row for every network."""
 N_FRAMES = 4
+N_LOOKED_AT = 24
+"""Frames of each camera among which those that show the points are looked for."""
 TILE, CROP = 280, 200
 
 
@@ -99,7 +101,7 @@ def _held_out_scene(chosen: Chosen, picks: Sequence[Pick], scan: str, is_only: b
 def _heat_part(chosen: Chosen, search: _Search, picks: Sequence[Pick], finders: dict[str, Finder]) -> Part:
     recording, places, indices = search.recording, search.places, search.indices
     n_frames = max(min(chosen.n_frames // 2, N_FRAMES), 1)
-    camera, frames = _frames_in_view(recording, places, picks, indices, n_frames)
+    camera, frames = _frames_that_show(recording, places, picks, indices, n_frames)
     colours = draw.palette(len(picks))
     tiles: dict[tuple[int, str], list[Part]] = {(i, variant): [] for i in indices for variant in finders}
     for i_frame in frames:
@@ -125,7 +127,7 @@ def _heat_part(chosen: Chosen, search: _Search, picks: Sequence[Pick], finders: 
             for variant in finders
         ],
         "n_columns": len(frames),
-        "n_left_out": len(picks) - len(indices),
+        "n_left_out": sum(pick.recording == picks[indices[0]].recording for pick in picks) - len(indices),
         "alphas": [(variant, finder.alpha) for variant, finder in finders.items()],
         "gradient": draw.heat_gradient(),
         "with_truth": any(places.places[i] is not None for i in indices),
@@ -133,7 +135,7 @@ def _heat_part(chosen: Chosen, search: _Search, picks: Sequence[Pick], finders: 
     }
 
 
-def _frames_in_view(
+def _frames_that_show(
     recording: Recording, places: TruePlaces, picks: Sequence[Pick], indices: Sequence[int], n_frames: int
 ) -> tuple[Camera, list[int]]:
     """The camera that sees the points most often, and frames spread over those that show most of them, but not the
@@ -141,14 +143,19 @@ def _frames_in_view(
     own = {(pick.camera, pick.frame) for pick in picks if pick.recording == recording.path.name}
     best: tuple[int, Camera, list[int]] | None = None
     for camera in recording.cameras:
-        counts = np.array([int(places.in_view(camera, i)[indices].sum()) for i in range(camera.n_frames)])
         candidates = [i for i in range(camera.n_frames) if (camera.name, i) not in own]
-        many = [i for i in candidates if 2 * counts[i] > counts.max(initial=0)] or candidates
+        candidates = [candidates[i] for i in spread_frames(len(candidates), N_LOOKED_AT)]
+        counts = np.array([_n_seen(places.pixels(camera, i), indices) for i in candidates], dtype=int)
+        many = [i for i, n in zip(candidates, counts, strict=True) if 2 * n > counts.max(initial=0)]
         if best is None or counts.sum() > best[0]:
-            best = int(counts.sum()), camera, many
+            best = int(counts.sum()), camera, many or candidates
     assert best is not None, "a recording has a camera"
     _, camera, frames = best
     return camera, [frames[i] for i in spread_frames(len(frames), n_frames)]
+
+
+def _n_seen(truth: TruePixels, indices: Sequence[int]) -> int:
+    return sum(truth.states[i] == SEEN for i in indices)
 
 
 def _heat_tile(

@@ -209,11 +209,6 @@ class TruePlaces:
         points = [unknown if one is None else one[min(i_frame, len(one) - 1)] for one in self.places]
         return transform(invert_rigid(poses[i_frame]), np.array(points).reshape(-1, 3))
 
-    def in_view(self, camera: Camera, i_frame: int) -> np.ndarray:
-        """(k,) bool: points whose place is in the image; something may be in front of it."""
-        uv, _ = project(self._points_camera(camera, i_frame), camera.K)
-        return in_image(uv, camera.height, camera.width)
-
     def pixels(self, camera: Camera, i_frame: int) -> TruePixels:
         """Where the points are in a frame, and whether it shows them."""
         points = self._points_camera(camera, i_frame)
