@@ -180,6 +180,14 @@ def test_a_network_that_knows_every_point_finds_it_at_any_scale_rotation_and_occ
     assert min(told["by_rotation"][name]["n"] for name in BINS["rotation"]) > 10
 
 
+def test_the_temperature_at_which_heat_maps_are_truest_is_told(found: dict) -> None:
+    for told in found["variants"].values():
+        true = told["calibration"]
+        assert true["truest_ece"] <= true["ece"]
+    # Who knows nothing but places promises little only where it tells none apart.
+    assert found["variants"]["blind"]["calibration"]["truest_alpha"] == 1.0
+
+
 def test_every_match_is_in_one_bin_of_each_kind(found: dict) -> None:
     for told in found["variants"].values():
         totals = {what: sum(one["n"] for one in told[f"by_{what}"].values()) for what in (*BINS, "object", "scene")}
@@ -498,9 +506,9 @@ def test_the_command_prints_tables_for_people_and_everything_for_scripts(
     words.append(
         f"unseen view                  {keypoints['mean']:.3f} +- {keypoints['std']:.3f}  ({keypoints['seen']}, "
     )
-    words.append(
-        f"heat maps of blind: what they promise and what is so differ by {100 * told['calibration']['ece']:.1f} %"
-    )
+    true = told["calibration"]
+    words.append(f"is so differ by {100 * true['ece']:.1f} % (ECE) at alpha 4; by {100 * true['truest_ece']:.1f} % at")
+    words.append(f" % at alpha {true['truest_alpha']:g}\n")
     words.append(f"{100 * told['by_turn']['90']['pck_8']:9.1f}")
     for one in words:
         assert one in shown.stderr

@@ -31,7 +31,7 @@ class MapScores:
         error_px: from the best match to the true one.
         closer_share: share of the image's pixels whose distance is smaller than that at the true match.
         false_positive_px: mean way of those pixels to the true match; 0 if there are none.
-        confidence: share of the heat map within the radius of the best match.
+        confidence: share of the heat map within the radius of the best match, for each temperature.
     """
 
     best: Float[ndarray, "n 2"]
@@ -39,7 +39,7 @@ class MapScores:
     error_px: Float[ndarray, " n"]
     closer_share: Float[ndarray, " n"]
     false_positive_px: Float[ndarray, " n"]
-    confidence: Float[ndarray, " n"]
+    confidence: Float[ndarray, "n a"]
 
 
 def map_scores(
@@ -47,7 +47,7 @@ def map_scores(
     at_truth: Float[ndarray, " n"],
     true_uv: Float[ndarray, "n 2"],
     size: tuple[int, int],
-    alpha: float,
+    alphas: Sequence[float],
     radius_px: float,
 ) -> MapScores:
     """Hold distance maps against the true matches.
@@ -57,7 +57,7 @@ def map_scores(
         at_truth: the distance at the true match itself, between the pixels.
         true_uv: pixels of the image.
         size: (height, width) of the image.
-        alpha: temperature of the heat map softmax(-alpha z).
+        alphas: temperatures of heat maps softmax(-alpha z); what is expected is by the first.
         radius_px: of the confidence, pixels of the image.
 
     Source of `closer_share` and `false_positive_px`: Florence et al. 2018, Sec. 5.1.
@@ -66,14 +66,14 @@ def map_scores(
     u = (np.arange(width) + 0.5) * size[1] / width - 0.5
     v = (np.arange(height) + 0.5) * size[0] / height - 0.5
     best, expected = np.empty((n, 2)), np.empty((n, 2))
-    closer_share, false_positive_px, confidence = np.empty(n), np.empty(n), np.empty(n)
+    closer_share, false_positive_px, confidence = np.empty(n), np.empty(n), np.empty((n, len(alphas)))
     for i, z in enumerate(distance):
         row, column = divmod(int(z.argmin()), width)
         best[i] = u[column], v[row]
-        heat = np.exp(-alpha * (z - z[row, column]))
-        total = heat.sum(dtype=np.float64)
-        expected[i] = heat.sum(axis=0, dtype=np.float64) @ u / total, heat.sum(axis=1, dtype=np.float64) @ v / total
-        confidence[i] = _within(heat, u, v, best[i], radius_px) / total
+        heats = [np.exp(-alpha * (z - z[row, column])) for alpha in alphas]
+        mass = heats[0].astype(np.float64) / heats[0].sum(dtype=np.float64)
+        expected[i] = mass.sum(axis=0) @ u, mass.sum(axis=1) @ v
+        confidence[i] = [_within(heat, u, v, best[i], radius_px) / heat.sum(dtype=np.float64) for heat in heats]
         rows, columns = np.nonzero(z < at_truth[i])
         closer_share[i] = len(rows) / z.size
         ways = np.hypot(u[columns] - true_uv[i, 0], v[rows] - true_uv[i, 1])
@@ -106,7 +106,7 @@ class Records:
         error_3d: metres between the surface at the best match and the true point; NaN where no depth is known.
         closer_share: share of the image's pixels that are closer to the query than the true match is.
         false_positive_share: mean way of those pixels to the true match, as a share of the image's diagonal.
-        confidence: share of the heat map near the best match.
+        confidence: share of the heat map near the best match, for each temperature.
         is_near: whether the true match is that near.
     """
 
@@ -116,7 +116,7 @@ class Records:
     closer_share: Float[ndarray, " n"]
     false_positive_px: Float[ndarray, " n"]
     false_positive_share: Float[ndarray, " n"]
-    confidence: Float[ndarray, " n"]
+    confidence: Float[ndarray, "n a"]
     is_near: Bool[ndarray, " n"]
 
     def __len__(self) -> int:
@@ -129,11 +129,10 @@ class Records:
     @staticmethod
     def joined(parts: Sequence[Records]) -> Records:
         """All of several."""
-        names = Records.__dataclass_fields__
-        empty = {name: np.zeros(0, bool if name == "is_near" else float) for name in names}
-        return Records(
-            **{name: np.concatenate([empty[name], *(getattr(part, name) for part in parts)]) for name in names}
-        )
+        if not parts:
+            empty = np.zeros(0)
+            return Records(empty, empty, empty, empty, empty, empty, np.zeros((0, 0)), empty > 0)
+        return Records(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])})
 
 
 def figures(records: Records) -> dict[str, float | int | None]:
@@ -172,7 +171,7 @@ def area_above(values: Float[ndarray, " n"], limit: float) -> float | None:
 
 
 def cumulative(values: Float[ndarray, " n"], limit: float) -> tuple[Float[ndarray, " x"], Float[ndarray, " x"]]:
-    """Thresholds from 0 to the limit, closer near 0, and the share of the values that are no larger; NaN is left out."""
+    """Thresholds from 0 to the limit, denser near 0, and the share of values that are no larger; NaN is left out."""
     known = np.sort(values[~np.isnan(values)])
     thresholds = limit * np.linspace(0, 1, N_CURVE) ** 2
     below = np.searchsorted(known, thresholds, side="right")

@@ -12,7 +12,7 @@ from bask_data.evaluation.frames import Frames
 from bask_data.evaluation.held_out import held_out
 from bask_data.evaluation.keypoints import keypoint_table
 from bask_data.evaluation.matches import BINS, PairMatches, alike_pairs, candidate_pairs, spread_pairs
-from bask_data.evaluation.search import ALPHA, RADIUS, Cells, found_matches
+from bask_data.evaluation.search import ALPHA, ALPHAS, RADIUS, Cells, found_matches
 from bask_data.evaluation.sweep import CONDITIONS, swept
 from bask_data.kinds import DescriptorNet
 from bask_data.progress import progress
@@ -169,14 +169,18 @@ def _told_conditions(turned: Sequence[tuple[str, str, Records]]) -> dict[str, An
 
 
 def _calibration(records: Records) -> dict[str, Any]:
+    """How true the heat maps are, and at which of some temperatures they would be truest."""
     from bask_data.core.descriptor_scores import reliability
 
-    found = reliability(records.confidence, records.is_near)
+    found, *others = (reliability(one, records.is_near) for one in records.confidence.T)
+    errors = [one.error for one in others]
     return {
-        "ece": None if found.error != found.error else found.error,
+        "ece": found.error,
         "n": found.n.tolist(),
         "confidence": _plain(found.confidence),
         "accuracy": _plain(found.accuracy),
+        "truest_alpha": ALPHAS[errors.index(min(errors))],
+        "truest_ece": min(errors),
     }
 
 

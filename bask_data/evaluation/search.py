@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 ALPHA = 4.0
 """Temperature of heat maps; the one keypoints are read with by default."""
+ALPHAS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+"""Others, of which the one that fits the network best is told."""
 RADIUS = 0.04
 """Share of the image's diagonal within which a heat map's mass is its confidence, and a match is right."""
 
@@ -75,7 +77,7 @@ def looked_for(
         away.cpu().numpy().astype(np.float64),
         uv,
         image.size,
-        alpha,
+        (alpha, *ALPHAS),
         RADIUS * float(np.hypot(*image.size)),
     )
 

@@ -36,8 +36,9 @@ def descriptor_tables(found: dict[str, Any]) -> Iterator[str]:
         yield from _table({row: {name: told[what][row] for name, told in variants.items()} for row in first[what]})
     yield from _keypoint_table(variants)
     for name, told in variants.items():
-        error = _written(told["calibration"]["ece"], 100, ".1f")
-        yield f"heat maps of {name}: what they promise and what is so differ by {error} % (ECE)"
+        error, least = (_written(told["calibration"][key], 100, ".1f") for key in ("ece", "truest_ece"))
+        words = f"what they promise and what is so differ by {error} % (ECE) at alpha {found['alpha']:g}"
+        yield f"heat maps of {name}: {words}; by {least} % at alpha {told['calibration']['truest_alpha']:g}"
 
 
 def _keypoint_table(variants: dict[str, dict[str, Any]]) -> Iterator[str]:

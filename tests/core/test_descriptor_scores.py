@@ -30,7 +30,7 @@ def records(n: int, seed: int = 0) -> Records:
         closer_share=rng.random(n),
         false_positive_px=rng.exponential(20, n),
         false_positive_share=rng.exponential(0.2, n),
-        confidence=rng.random(n),
+        confidence=rng.random((n, 3)),
         is_near=error <= 4,
     )
 
@@ -45,7 +45,7 @@ def test_scores_of_maps_are_those_of_a_loop_over_pixels(seed, alpha, radius):
     size = tuple(int(one) for one in rng.integers(1, 40, 2))
     z = rng.random((n, height, width)).astype(np.float32)
     at_truth, truth = rng.random(n), rng.uniform(-1, 40, (n, 2))
-    found = map_scores(z, at_truth, truth, size, alpha, radius)
+    found = map_scores(z, at_truth, truth, size, (alpha, 2.0), radius)
     for i in range(n):
         places, heats, closer = {}, {}, []
         for row in range(height):
@@ -62,8 +62,11 @@ def test_scores_of_maps_are_those_of_a_loop_over_pixels(seed, alpha, radius):
         assert found.error_px[i] == pytest.approx(np.hypot(*(best - truth[i])))
         assert found.closer_share[i] == pytest.approx(len(closer) / z[i].size)
         assert found.false_positive_px[i] == pytest.approx(np.mean(closer) if closer else 0.0)
-        near = sum(heats[at] for at in heats if np.hypot(*(places[at] - best)) <= radius)
-        assert found.confidence[i] == pytest.approx(near / total, rel=1e-5)
+        close = [at for at in heats if np.hypot(*(places[at] - best)) <= radius]
+        assert found.confidence[i, 0] == pytest.approx(sum(heats[at] for at in close) / total, rel=1e-5)
+        others = {at: np.exp(-2.0 * float(z[i][at])) for at in heats}
+        near = sum(others[at] for at in close) / sum(others.values())
+        assert found.confidence[i, 1] == pytest.approx(near, rel=1e-5)
         expected = sum(heats[at] * places[at] for at in heats) / total
         np.testing.assert_allclose(found.expected[i], expected, rtol=1e-5, atol=1e-4)
 
@@ -76,20 +79,20 @@ def cone(centre: tuple[float, float], height: int, width: int) -> np.ndarray:
 
 def test_a_map_that_is_right_leaves_no_pixel_closer_and_is_sure_when_it_is_sharp():
     z, truth = cone((40.0, 30.0), 80, 100), np.array([[40.0, 30.0]])
-    found = map_scores(z, np.zeros(1), truth, (80, 100), 1e4, 3.0)
+    found = map_scores(z, np.zeros(1), truth, (80, 100), (1e4,), 3.0)
     assert found.error_px[0] == 0
     assert (found.closer_share[0], found.false_positive_px[0]) == (0, 0)
-    assert found.confidence[0] > 0.999
+    assert found.confidence[0, 0] > 0.999
     np.testing.assert_allclose(found.expected, truth, atol=1e-3)
     # A flat heat map says no more than how large the circle is.
-    blunt = map_scores(z, np.zeros(1), truth, (80, 100), 0.0, 20.0)
-    assert blunt.confidence[0] == pytest.approx(np.pi * 20**2 / 8000, rel=0.02)
+    blunt = map_scores(z, np.zeros(1), truth, (80, 100), (0.0,), 20.0)
+    assert blunt.confidence[0, 0] == pytest.approx(np.pi * 20**2 / 8000, rel=0.02)
 
 
 def test_a_map_that_peaks_elsewhere_counts_the_disc_around_the_wrong_place():
     way = 15.0
     z, truth = cone((50.0, 40.0), 80, 100), np.array([[50.0 + way, 40.0]])
-    found = map_scores(z, np.array([1e-3 * way]), truth, (80, 100), 4.0, 3.0)
+    found = map_scores(z, np.array([1e-3 * way]), truth, (80, 100), (4.0,), 3.0)
     assert found.error_px[0] == way
     assert found.closer_share[0] == pytest.approx(np.pi * way**2 / 8000, rel=0.03)
     # The mean distance of a disc's points to a point on its rim is 32 / (9 pi) of its radius.
@@ -109,7 +112,7 @@ def test_figures_are_counted_by_hand():
             closer_share=np.array([0.0, 0.1, 0.2, 0.9]),
             false_positive_px=np.array([0.0, 4.0, 8.0, 12.0]),
             false_positive_share=np.array([0.0, 0.04, 0.08, 0.12]),
-            confidence=zeros,
+            confidence=zeros[:, None],
             is_near=zeros > 0,
         )
     )
