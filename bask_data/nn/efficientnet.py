@@ -23,8 +23,9 @@ MEAN = (127 / 255, 127 / 255, 127 / 255)
 STD = (128 / 255, 128 / 255, 128 / 255)
 """Of the colours the published weights were trained with: not ImageNet's, whatever the package says."""
 
-LEVELS = ((0, 2, 16), (2, 4, 24), (4, 8, 40), (7, 16, 80), (10, 16, 112))
-"""Blocks whose output is used, the last of each stage: number, stride, channels."""
+LEVELS = ((0, 2, 16, 1), (2, 4, 24, 2), (4, 8, 40, 1), (7, 16, 80, 1), (10, 16, 112, 1))
+"""Blocks whose output is used, the last of each stage: number, stride, channels, places read in each block of 8 pixels
+in each direction. Fine texture is told by all four cells of stride 4, but not better by all sixteen of stride 2."""
 
 N_BLOCKS = 11
 """Blocks that are computed, of 16. What the last two stages see, at stride 32, tells classes of images apart but not
@@ -84,7 +85,7 @@ class DenseEfficientNet(nn.Module):
                 blocks.append(InvertedBottleneck(n_in, n_out, kernel, stride if i == 0 else 1, expansion))
                 n_in = n_out
         self._blocks = nn.ModuleList(blocks[:N_BLOCKS])
-        self.head = DescriptorHead(tuple(n_channels for _, _, n_channels in LEVELS), n_outputs)
+        self.head = DescriptorHead(tuple(n_channels * n_places**2 for _, _, n_channels, n_places in LEVELS), n_outputs)
 
     def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b d h8 w8"]:
         """The output at stride 8; cell (i, j) stands for the block of pixels from (8i, 8j) to (8i + 7, 8j + 7).
@@ -98,9 +99,8 @@ class DenseEfficientNet(nn.Module):
         (top, bottom), (left, right) = margins
         features = self.features(F.pad(x, (left, right, top, bottom)))
         size = (-(-height // STRIDE), -(-width // STRIDE))
-        return self.head(
-            torch.cat([_at_stride_8(features[i], stride, (top, left), size) for i, stride, _ in LEVELS], 1)
-        )
+        levels = [_at_stride_8(features[i], stride, (top, left), size, n_places) for i, stride, _, n_places in LEVELS]
+        return self.head(torch.cat(levels, dim=1))
 
     def features(self, x: Float[Tensor, "b 3 h w"]) -> list[Float[Tensor, "b _ _ _"]]:
         """Every block's output."""
@@ -133,26 +133,28 @@ def _margin(size: int) -> tuple[int, int]:
 
 
 def _at_stride_8(
-    x: Float[Tensor, "b c h w"], stride: int, first: tuple[int, int], size: tuple[int, int]
-) -> Float[Tensor, "b c h8 w8"]:
-    """Features between their cells, at the middle of each block of 8x8 pixels.
+    x: Float[Tensor, "b c h w"], stride: int, first: tuple[int, int], size: tuple[int, int], n_places: int
+) -> Float[Tensor, "b c2 h8 w8"]:
+    """Features between their cells, at places spread evenly over each block of 8x8 pixels; for one, at its middle.
 
     Args:
         first: rows and columns of padding before the image.
         size: rows and columns of blocks.
+        n_places: in each direction; a block's features at all of them follow each other as channels.
     """
-    if stride < STRIDE:
-        # A block holds several cells; without a mean over them some would not be looked at.
+    spacing = STRIDE // n_places
+    if stride < spacing:
+        # Between two places lie several cells; without a mean over them some would not be looked at.
         x = F.avg_pool2d(x, 3, stride=1, padding=1, count_include_pad=False)
-    middle = (STRIDE - 1) / 2
     v, u = (
-        (STRIDE * torch.arange(n, device=x.device) + middle + margin) / stride
+        (spacing * torch.arange(n * n_places, device=x.device) + (spacing - 1) / 2 + margin) / stride
         for n, margin in zip(size, first, strict=True)
     )
     # grid_sample wants -1 at the first cell and 1 at the last.
     u, v = (2 * position / (n - 1) - 1 for position, n in ((u, x.shape[-1]), (v, x.shape[-2])))
-    grid = torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1).to(x.dtype)
-    return F.grid_sample(x, grid.expand(len(x), -1, -1, -1), mode="bilinear", padding_mode="border", align_corners=True)
+    grid = torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1).to(x.dtype).expand(len(x), -1, -1, -1)
+    found = F.grid_sample(x, grid, mode="bilinear", padding_mode="border", align_corners=True)
+    return F.pixel_unshuffle(found, n_places)
 
 
 def _norm(n_channels: int) -> nn.BatchNorm2d:

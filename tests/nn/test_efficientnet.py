@@ -47,7 +47,7 @@ def test_features_have_the_strides_and_channels_that_the_levels_tell():
     with torch.no_grad():
         features = network().features(torch.zeros(1, 3, 129, 161))
     assert len(features) == N_BLOCKS
-    for i, stride, n_channels in LEVELS:
+    for i, stride, n_channels, _ in LEVELS:
         assert features[i].shape == (1, n_channels, 128 // stride + 1, 160 // stride + 1)
 
 
@@ -58,15 +58,26 @@ def test_features_are_taken_at_the_middles_of_the_blocks(size, first):
     assert efficientnet._margin(size) == (first, margin - first)
     n_blocks = -(-size // 8)
     middles = 8 * torch.arange(n_blocks) + 3.5
-    for _, stride, _ in LEVELS:
+    for _, stride, _, _ in LEVELS:
         pixel = stride * torch.arange((size + margin - 1) // stride + 1.0) - first
         v, u = torch.meshgrid(pixel, pixel, indexing="ij")
-        found = efficientnet._at_stride_8(torch.stack([v, u])[None], stride, (first, first), (n_blocks, n_blocks))[0]
+        found = efficientnet._at_stride_8(torch.stack([v, u])[None], stride, (first, first), (n_blocks, n_blocks), 1)[0]
         # Where the image ends within a block, its middle may lie outside; at an edge, a mean of cells leans inwards.
         inner = slice(0, size // 8)
         torch.testing.assert_close(found[0, inner, 0], middles[inner], atol=1.0 if stride < 8 else 1e-3, rtol=0)
         torch.testing.assert_close(found[1, 0, inner], middles[inner], atol=1.0 if stride < 8 else 1e-3, rtol=0)
         torch.testing.assert_close(found[0, 1:-1, 0], middles[1:-1], atol=1e-3, rtol=0)
+
+
+def test_features_at_four_places_of_a_block_follow_each_other():
+    # Cells of stride 4 that hold the row and column of their pixel.
+    pixel = 4 * torch.arange(17.0)
+    v, u = torch.meshgrid(pixel, pixel, indexing="ij")
+    found = efficientnet._at_stride_8(torch.stack([v, u])[None], 4, (0, 0), (8, 8), 2)[0]
+    assert found.shape == (8, 8, 8)
+    rows, columns = found[:4, 2, 5], found[4:, 2, 5]
+    torch.testing.assert_close(rows, 8 * 2 + torch.tensor([1.5, 1.5, 5.5, 5.5]))
+    torch.testing.assert_close(columns, 8 * 5 + torch.tensor([1.5, 5.5, 1.5, 5.5]))
 
 
 def symmetric(net: DenseEfficientNet) -> DenseEfficientNet:
@@ -76,6 +87,13 @@ def symmetric(net: DenseEfficientNet) -> DenseEfficientNet:
         for module in net.modules():
             if isinstance(module, nn.Conv2d):
                 module.weight.add_(turned(module.weight).clone()).div_(2)
+        for layer in (net.head.linear, net.head.gather):
+            first = 0
+            for _, _, n_channels, n_places in LEVELS:
+                n = n_channels * n_places**2
+                places = layer.weight[:, first : first + n].unflatten(1, (n_channels, n_places**2))
+                places.add_(places.flip(2).clone()).div_(2)
+                first += n
     return net
 
 
