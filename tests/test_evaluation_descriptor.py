@@ -36,6 +36,8 @@ from tests.described import (
 )
 from tests.scenes import Scene
 
+LOADED = descriptor._network
+"""What really loads a network; the tests replace it."""
 NETWORKS = {"main": ReadsColours(), "blind": ReadsPositions()}
 SCENES = {"a": boxes(0), "b": boxes(1), "c": boxes(2)}
 
@@ -332,6 +334,7 @@ def test_test_scenes_come_before_validation_and_those_before_frames(tmp_path: Pa
     assert held_out(dataset, ["half"]) == HeldOut(("c",), 1.0, "held-out scenes (test): c")
     asked = held_out(dataset, ["half"], ["a", "c"])
     assert asked == HeldOut(("a", "c"), 1.0, "scenes asked for: a, c; trained on: a")
+    assert held_out(dataset, ["half"], ["c"]).words == "scenes asked for: c; none of them was trained on"
 
 
 def test_keypoints_of_held_out_frames_are_told_apart_from_those_trained_on(tmp_path: Path) -> None:
@@ -351,9 +354,11 @@ def test_what_is_missing_is_told(tmp_path: Path) -> None:
     (dataset.path(Correspondences, "a").parent.parent / "truth" / "a" / "artifact.json").unlink()
     with pytest.raises(UsageError, match="a: expected a scene with masks, got none.  fix: bask-data run"):
         held_out(dataset, ["main"])
-    dataset.set_splits(Splits(test=("a",)))
-    with pytest.raises(BadData, match="expected a dataset"):
-        Dataset(tmp_path / "nothing")
+
+
+def test_a_network_that_does_not_load_is_told(shared: Dataset) -> None:
+    with pytest.raises(BadData, match="descriptor/main: expected a network that loads, got .*train it again"):
+        LOADED(shared, "main")
 
 
 def test_a_dataset_without_a_scene_to_measure_on_is_told(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bask_data.dataset import Dataset
-from bask_data.errors import UsageError
+from bask_data.errors import BadData, UsageError
 from bask_data.evaluation.frames import Frames
 from bask_data.evaluation.held_out import held_out
 from bask_data.evaluation.keypoints import keypoint_table
@@ -55,6 +55,7 @@ def evaluated_descriptor(
 
     Raises:
         UsageError: a scene or a variant is not there, or nothing can be matched.
+        BadData: a network does not load.
     """
     aside = held_out(dataset, variants, scenes)
     networks = {name: _network(dataset, name) for name in variants}
@@ -89,7 +90,12 @@ def evaluated_descriptor(
 def _network(dataset: Dataset, variant: str) -> DescriptorNetwork:
     from bask_data.nn.network import load
 
-    return load(dataset.path(DescriptorNet, variant=variant))
+    path = dataset.path(DescriptorNet, variant=variant)
+    try:
+        return load(path)
+    except Exception as error:  # torch and safetensors raise their own kinds for broken files.
+        fix = "run `bask-data validate`, or train it again."
+        raise BadData(path, "", expected="a network that loads", got=str(error)[:200], fix=fix) from error
 
 
 @dataclass(frozen=True)

@@ -47,10 +47,8 @@ def held_out(dataset: Dataset, variants: Sequence[str], scenes: Sequence[str] = 
     learned = learned_scenes(dataset)
     if scenes:
         seen = [name for name in scenes if name in learned]
-        words = f"scenes asked for: {', '.join(scenes)}"
-        return _there(
-            dataset, HeldOut(tuple(scenes), 1.0, words + (f"; trained on: {', '.join(seen)}" if seen else ""))
-        )
+        of_them = f"trained on: {', '.join(seen)}" if seen else "none of them was trained on"
+        return _there(dataset, HeldOut(tuple(scenes), 1.0, f"scenes asked for: {', '.join(scenes)}; {of_them}"))
     for use, names in (("test", splits.test), ("validation", splits.validation)):
         if names:
             return _there(dataset, HeldOut(names, 1.0, f"held-out scenes ({use}): {', '.join(names)}"))
