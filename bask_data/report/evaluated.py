@@ -26,6 +26,11 @@ GROUPS = {
     "by_object": "object",
     "by_scene": "scene",
 }
+SPLITS = ("scale", "rotation", "occlusion")
+SHADES = ("#3f9f74", "#4a90d0", "#d08020", "#c8504a")
+"""Of bins."""
+NEAR = 0.3
+"""Where curves that are told apart end, share of the image's diagonal: the same for all of them."""
 NEARLY_ALL = 0.995
 """Share of the matches at which a cumulative curve has no more to tell."""
 
@@ -56,6 +61,7 @@ def evaluation(chosen: Chosen) -> list[Part]:
             *(_curve_plot(variants, name, colours) for name in CURVES),
             _reliability_plot(variants, colours, found["radius_share"]),
         ],
+        "split_plots": _split_plots(variants),
     }
     return [*parts, part]
 
@@ -83,6 +89,38 @@ def _curve_plot(variants: Mapping[str, Any], metric: str, colours: Mapping[str, 
         end = max(end, float(reached[0]) if len(reached) else float(x[-1]))
     svg = line_plot(curves, x_label=x_label, y_label="share of the matches", x_range=(0.0, end), y_range=(0, 1.02))
     return {"title": title, "svg": svg, "legend": legend}
+
+
+def _split_plots(variants: Mapping[str, Any]) -> list[Part]:
+    """Cumulative curves of the error, told apart: a plot for each network and what its matches are told apart by."""
+    from bask_data.report.plots import Curve, line_plot
+
+    plots = []
+    for split in SPLITS:
+        for name, told in variants.items():
+            x = _numbers(told["curves"]["error_share"]["threshold"])
+            bins = {
+                bin_: one["error_share"]
+                for bin_, one in told["curves_by"][split].items()
+                if one["error_share"][0] is not None
+            }
+            if len(bins) < 2:
+                continue
+            curves = [Curve(x, _numbers(y), SHADES[i % len(SHADES)], thick=True) for i, y in enumerate(bins.values())]
+            areas = [told[f"by_{split}"][bin_]["area_error_share"] for bin_ in bins]
+            svg = line_plot(
+                curves,
+                x_label="share of the diagonal",
+                y_label="share of the matches",
+                x_range=(0, NEAR),
+                y_range=(0, 1.02),
+            )
+            legend = [
+                {"name": bin_, "colour": curve.colour, "last": area}
+                for bin_, curve, area in zip(bins, curves, areas, strict=True)
+            ]
+            plots.append({"title": f"{name}: {GROUPS[f'by_{split}']}", "svg": svg, "legend": legend})
+    return plots
 
 
 def _reliability_plot(variants: Mapping[str, Any], colours: Mapping[str, str], radius: float) -> Part:

@@ -56,7 +56,8 @@ def test_networks_are_measured_as_the_command_does_and_only_once_for_page_and_js
     other = found["variants"]["florence"]["by_rotation"]["0-30"]
     cells = " ".join(f"{percent(one['pck_4'])} {number(one['median_px'])} px" for one in (first, other))
     assert f"0-30 {first['n']} {cells}".replace("\u00a0", " ") in page.text
-    assert page.text.count("share of the matches") >= 4
+    assert page.text.count("share of the matches") > 4
+    assert "main: rotation in the image, degrees" in page.text
     assert (
         f"{percent(found['variants']['main']['all']['pck_4'])} of true matches found within 4 %".replace("\u00a0", " ")
         in Page(html).text
@@ -109,6 +110,25 @@ def test_cumulative_curves_end_where_all_matches_are(drawn):
         assert how["x_range"] == (0.0, end)
         np.testing.assert_array_equal(curves[0].y, quick)
         assert [entry["last"] for entry in plot["legend"]] == [0.3] * len(shares)
+
+
+def test_curves_are_told_apart_by_bins_that_have_matches(drawn):
+    def told(**bins: list[float | None]) -> dict[str, Any]:
+        return {
+            "curves": {"error_share": {"threshold": [0.0, 1.0], "share": [0.0, 1.0]}},
+            "curves_by": {
+                "scale": {name: {"error_share": share} for name, share in bins.items()},
+                "rotation": {"0-30": {"error_share": [0.0, 1.0]}},
+                "occlusion": {},
+            },
+            "by_scale": {name: {"area_error_share": 0.1 * i} for i, name in enumerate(bins)},
+        }
+
+    plots = evaluated._split_plots({"a": told(near=[0.5, 1.0], none=[None, None], far=[0.0, 0.25])})
+    (((near, far), _),) = drawn
+    assert (near.y.tolist(), far.y.tolist(), near.x.tolist()) == ([0.5, 1.0], [0.0, 0.25], [0.0, 1.0])
+    assert [plot["title"] for plot in plots] == ["a: change of scale"]
+    assert [(entry["name"], entry["last"]) for entry in plots[0]["legend"]] == [("near", 0.0), ("far", 0.2)]
 
 
 def test_the_reliability_diagram_holds_bins_with_matches_against_the_diagonal(drawn):
