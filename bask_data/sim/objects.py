@@ -57,6 +57,12 @@ class Thing:
     parts: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
+    def materials(self) -> list[str]:
+        """Names of the textures: one for each labelled body, and `name/i` for walls that have their own."""
+        used = {geom.get("material", "") for geom in self.body.iter("geom")}
+        return [*self.labelled, *sorted(name for name in used if "/" in name)]
+
+    @property
     def labelled(self) -> dict[str, tuple[float, float, float]]:
         """Main colour by name, of this thing and of its parts."""
         return {self.name: self.hsv, **self.parts}
@@ -111,12 +117,14 @@ def microwave(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
     wall, panel, door = 0.010, 0.055, 0.014
     body = _body("microwave")
     add_geom(body, "box", (w / 2, d / 2, wall / 2), (0, 0, wall / 2))
-    add_geom(body, "box", (w / 2, d / 2, wall / 2), (0, 0, h - wall / 2))
+    # A texture goes through a body: with one for all walls, the inside of each would look like another's outside.
+    add_geom(body, "box", (w / 2, d / 2, wall / 2), (0, 0, h - wall / 2), material="microwave/top")
     inner = (h - 2 * wall) / 2
-    add_geom(body, "box", (w / 2, wall / 2, inner), (0, d / 2 - wall / 2, h / 2))
+    add_geom(body, "box", (w / 2, wall / 2, inner), (0, d / 2 - wall / 2, h / 2), material="microwave/back")
     depth = (d - wall) / 2
-    add_geom(body, "box", (wall / 2, depth, inner), (-w / 2 + wall / 2, -wall / 2, h / 2))
-    add_geom(body, "box", (panel / 2, depth, inner), (w / 2 - panel / 2, -wall / 2, h / 2), tint=(0.5, 0.55, 0.6, 1))
+    left, right = (-w / 2 + wall / 2, -wall / 2, h / 2), (w / 2 - panel / 2, -wall / 2, h / 2)
+    add_geom(body, "box", (wall / 2, depth, inner), left, material="microwave/left")
+    add_geom(body, "box", (panel / 2, depth, inner), right, material="microwave/right", tint=(0.5, 0.55, 0.6, 1))
     dial: dict[str, Any] = {"euler": (np.pi / 2, 0, 0), "tint": DARK}
     for z in (0.35, 0.65):
         add_geom(body, "cylinder", (0.014, 0.004), (w / 2 - panel / 2, -d / 2 - 0.003, z * h), **dial)
@@ -220,16 +228,13 @@ def rubbish(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
     half, height, wall = 0.068 * _scale(rng), 0.13 * _scale(rng), 0.005
     container = _body("bin")
     add_geom(container, "box", (half, half, wall / 2), (0, 0, wall / 2))
-    for sign in (-1, 1):
-        across, up = sign * (half - wall / 2), (height + wall) / 2
-        add_geom(container, "box", (wall / 2, half, (height - wall) / 2), (across, 0, up))
-        add_geom(
-            container,
-            "box",
-            (half - wall, wall / 2, (height - wall) / 2),
-            (0, across, up),
-            tint=(0.85, 0.85, 0.85, 1),
-        )
+    tall, up = (height - wall) / 2, (height + wall) / 2
+    # A texture goes through a body: with one for all walls, the inside of each would look like another's outside.
+    tint = (0.85, 0.85, 0.85, 1)
+    for side, sign in (("near", -1), ("far", 1)):
+        across = sign * (half - wall / 2)
+        add_geom(container, "box", (wall / 2, half, tall), (across, 0, up), material=f"bin/{side}_x")
+        add_geom(container, "box", (half - wall, wall / 2, tall), (0, across, up), material=f"bin/{side}_y", tint=tint)
     paper = _body("rubbish")
     SubElement(paper, "freejoint", {"name": "rubbish"})
     for _ in range(4):

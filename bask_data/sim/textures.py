@@ -11,7 +11,7 @@ from numpy import ndarray
 
 FACE = 160
 """Pixels along the edge of a face of an object's texture."""
-N_SHAPES = 9
+N_SHAPES = 14
 
 
 def colour(hue: float, saturation: float, value: float) -> Float[ndarray, "3"]:
@@ -62,8 +62,10 @@ def _face(rng: np.random.Generator, hue: float, saturation: float, value: float)
 
 def _add_shape(rng: np.random.Generator, image: UInt8[ndarray, "f f 3"], hue: float, s: float, v: float) -> None:
     """Draw a disc, a box, a stripe or a letter in a kindred or an opposite colour."""
-    away = 0.5 if rng.random() < 0.25 else rng.uniform(-0.12, 0.12)
-    paint = tuple(colour(hue + away, max(s, 0.25) * rng.uniform(0.5, 1.2), v * rng.uniform(0.35, 1.2)).tolist())
+    away = rng.uniform(0.2, 0.8) if rng.random() < 0.4 else rng.uniform(-0.12, 0.12)
+    # Much darker or lighter than what is around: shapes are what spots of a dark object are known by.
+    shade = rng.uniform(0.15, 0.5) * v if rng.random() < 0.5 else rng.uniform(0.8, 1.0)
+    paint = tuple(colour(hue + away, max(s, 0.25) * rng.uniform(0.4, 1.2), shade).tolist())
     x, y = (int(value) for value in rng.integers(0, FACE, 2))
     extent = int(rng.integers(6, 26))
     kind = int(rng.integers(0, 4))

@@ -55,7 +55,7 @@ class World:
         self.things = {thing.name: thing for thing in things}
         colours = {name: hsv for thing in things for name, hsv in thing.labelled.items()}
         self.labels = {name: i + 1 for i, name in enumerate(colours)}
-        self.model = mujoco.MjModel.from_xml_string(_mjcf(things, colours, options))
+        self.model = mujoco.MjModel.from_xml_string(_mjcf(things, options))
         _paint(self.model, things, seed, options.background_seed)
         self.data = mujoco.MjData(self.model)
 
@@ -242,7 +242,7 @@ class World:
 # The model ------------------------------------------------------------------------------------------------------------
 
 
-def _mjcf(things: list[Thing], colours: dict[str, Any], options: SimOptions) -> str:
+def _mjcf(things: list[Thing], options: SimOptions) -> str:
     mujoco = Element("mujoco", {"model": options.task})
     SubElement(mujoco, "compiler", {"angle": "radian", "autolimits": "false"})
     SubElement(
@@ -272,7 +272,7 @@ def _mjcf(things: list[Thing], colours: dict[str, Any], options: SimOptions) -> 
         size_ = {"width": f"{size}", "height": f"{size}"}
         SubElement(assets, "texture", {"name": name, "type": "2d", "builtin": "flat", **size_})
         SubElement(assets, "material", {"name": name, "texture": name, "specular": "0.1"})
-    for name in (*colours, "gripper"):
+    for name in (*(material for thing in things for material in thing.materials), "gripper"):
         size_ = {"width": f"{textures.FACE}", "height": f"{6 * textures.FACE}"}
         SubElement(assets, "texture", {"name": name, "type": "cube", "builtin": "flat", **size_})
         SubElement(assets, "material", {"name": name, "texture": name, "specular": "0.15", "shininess": "0.3"})
@@ -317,10 +317,14 @@ def _paint(model: Any, things: list[Thing], seed: list[int], background_seed: in
         for i, name in enumerate(("table", "floor")):
             images[name] = textures.covering(np.random.default_rng([background_seed, i]), len(images[name]))
     colours = [(name, hsv, thing.is_symmetric) for thing in things for name, hsv in thing.labelled.items()]
+    materials = [material for thing in things for material in thing.materials]
     for i, (name, (hue, saturation, value), is_symmetric) in enumerate(colours):
         rng = np.random.default_rng([*seed, 5, i])
+        hue += rng.uniform(-0.02, 0.02)
         draw = textures.symmetric_faces if is_symmetric else textures.object_faces
-        images[name] = draw(rng, hue + rng.uniform(-0.02, 0.02), saturation, value)
+        images[name] = draw(rng, hue, saturation, value)
+        for wall in (one for one in materials if one.startswith(f"{name}/")):
+            images[wall] = draw(rng, hue, saturation, value)
     for name, image in images.items():
         begin = int(model.tex_adr[model.texture(name).id])
         model.tex_data[begin : begin + image.size] = image.reshape(-1)

@@ -109,3 +109,20 @@ def test_the_door_starts_open() -> None:
         angles.append(float(world.data.joint("door").qpos[0]))
     assert max(angles) < -0.8
     assert np.ptp(angles) > 0.2
+
+
+@pytest.mark.parametrize("task", ["microwave", "rubbish"])
+def test_no_two_walls_of_a_hollow_object_look_alike(task: TaskName) -> None:
+    """A texture goes through a body: of two walls with one texture, the inside of one is the outside of the other."""
+    world = World(SimOptions(task=task))
+    materials = world.things[{"microwave": "microwave", "rubbish": "bin"}[task]].materials
+    pictures = [_texture(world, name) for name in materials]
+    assert len(materials) >= 5
+    for i, one in enumerate(pictures):
+        assert all((one != other).mean() > 0.5 for other in pictures[:i])
+
+
+def _texture(world: World, name: str) -> np.ndarray:
+    texture = world.model.texture(name)
+    begin = int(world.model.tex_adr[texture.id])
+    return world.model.tex_data[begin : begin + 6 * textures.FACE**2 * 3]
