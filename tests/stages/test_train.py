@@ -136,11 +136,11 @@ def test_interrupted_it_goes_on_and_ends_the_same(dataset, trained, tmp_path, mo
         made(other)
     monkeypatch.undo()
     [state] = (other.root / ".scratch").glob("resume*/state.safetensors")
-    assert saved_step(state.parent) == 1
+    assert saved_step(state.parent) == 2
     learn, learned = training._Run.learn, []
     monkeypatch.setattr(training._Run, "learn", lambda run, step, some: learned.append(step) or learn(run, step, some))
     assert made(other).status == "made"
-    assert learned == [1, 2, 3]
+    assert learned == [2, 3]
     assert digest(other) == digest(dataset)
     names = {file.name for file in dataset.path(DescriptorNet).iterdir()}
     assert {file.name for file in other.path(DescriptorNet).iterdir()} == names
@@ -337,6 +337,7 @@ def test_pretrained_weights_are_taken_over(tmp_path):
     ("options", "message"),
     [
         ({"weights": "nowhere.pth"}, r"train: weights: expected a file, got nowhere.pth"),
+        ({"backbone": "vit"}, r"train: weights: expected pretrained weights, got no file, .* give --weights FILE"),
         ({"zoom": (2.0, 1.0)}, r"train: zoom: expected 0 < smallest <= largest, got 2.0,1.0"),
         ({"learning_rate": 1e30, "schedule": "step"}, r"train: learning_rate: got loss is .* try a smaller one"),
     ],
