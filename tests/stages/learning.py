@@ -22,6 +22,7 @@ SMALL = {
     "matches": 24,
     "descriptor_dim": 8,
     "precision": "float32",
+    "validations": 2,
 }
 """Parameters of a training that takes seconds."""
 
