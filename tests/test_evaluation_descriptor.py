@@ -89,6 +89,17 @@ def test_matches_are_one_point_of_one_object_that_both_views_show(candidates: li
     assert n > 0.95 * sum(len(pair.label) for pair in candidates) > 500
 
 
+def test_matches_stay_away_from_the_edges_of_what_they_are_on(candidates: list) -> None:
+    poses = cameras(2)
+    for pair in candidates:
+        for frame, uv in ((pair.a, pair.uv_a), (pair.b, pair.uv_b)):
+            for du, dv in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                beside = np.rint(uv) + [du, dv]
+                inside = in_image(beside, HEIGHT, WIDTH)
+                _, label = shown_point(SCENES["c"], poses[frame.i], beside[inside])
+                np.testing.assert_array_equal(label, pair.label[inside])
+
+
 def test_occlusion_is_the_share_of_the_object_s_pixels_that_are_left(candidates: list) -> None:
     poses, scene = cameras(2), SCENES["c"]
     found, truth = [], []

@@ -23,6 +23,10 @@ LEAST_MATCHES = 6
 """Pairs that share less are left out."""
 TOLERANCE = (0.005, 0.01)
 """A point is seen where the depth is within a + b z metres of its own."""
+SMOOTH = (0.002, 0.002)
+"""Depths of neighbouring pixels show one surface where they differ by no more than its slope and a + b z metres."""
+MARGIN = 2
+"""Pixels that matches stay away from the edges of objects and of surfaces, as those do that networks are trained on."""
 N_SURFACE = 1500
 """Points of an object's surface taken from a frame, to tell what of it is hidden in others."""
 SCALES = (1.25, 1.75)
@@ -160,17 +164,31 @@ def _queries(frames: Frames, frame: Frame, uv: np.ndarray, label: np.ndarray, de
 
 
 def _drawn(frames: Frames, frame: Frame, rng: np.random.Generator) -> Queries:
-    """Pixels of a frame's objects, as equally many of each as there are."""
+    """Pixels that show a frame's objects clearly, as equally many of each as there are."""
     import numpy as np
 
     from bask_data.core.correspondences import shares
 
     labels, depth = frames.labels(frame), frames.depth(frame)
-    pixels = {label: np.flatnonzero((labels == label) & (depth > 0)) for label in frames.objects}
+    clear = _clear(frames, frame)
+    pixels = {label: np.flatnonzero((labels == label) & clear) for label in frames.objects}
     taken = shares(np.array([len(one) for one in pixels.values()]), N_QUERIES)
     drawn = [rng.choice(one, n, replace=False) for one, n in zip(pixels.values(), taken, strict=True)]
     v, u = np.divmod(np.concatenate(drawn), labels.shape[1])
     return _queries(frames, frame, np.stack([u, v], axis=1).astype(float), np.repeat(list(pixels), taken), depth)
+
+
+def _clear(frames: Frames, frame: Frame) -> np.ndarray:
+    """Pixels (h, w) whose surface is seen less obliquely than 75 degrees and goes on all around them.
+
+    Beyond, which surface a pixel shows is a matter of chance: nobody picks a keypoint there, and `correspondences`
+    leaves it out.
+    """
+    from bask_data.core.correspondences import view
+
+    K, world_from_camera = frames.K(frame.camera), frames.world_from_camera(frame)
+    known = view(frames.depth(frame), frames.labels(frame), K, world_from_camera, None, SMOOTH, MARGIN)
+    return known.sure > 0
 
 
 def _by_truth(frames: Frames, chosen: list[Frame], rng: np.random.Generator) -> list[PairMatches]:
@@ -221,14 +239,15 @@ def _visible_shares(frames: Frames, frame: Frame, surface: dict[int, np.ndarray]
 
 
 def _seen(frames: Frames, b: Frame, columns: dict[str, np.ndarray]) -> np.ndarray:
-    """Which points another frame really shows (m,)."""
+    """Which points another frame really, and clearly, shows (m,)."""
     import numpy as np
 
     from bask_data.core import scores
 
     depth, labels, uv_b, z = frames.depth(b), frames.labels(b), columns["uv_b"], columns["points_b"][:, 2]
     off = np.abs(scores.true_depth(depth, labels, uv_b) - z)
-    return (scores.label_at(labels, uv_b) == columns["label"]) & (off <= TOLERANCE[0] + TOLERANCE[1] * z)
+    is_clear = scores.label_at(_clear(frames, b).astype(np.uint8), uv_b) == 1
+    return is_clear & (scores.label_at(labels, uv_b) == columns["label"]) & (off <= TOLERANCE[0] + TOLERANCE[1] * z)
 
 
 def _projected(frames: Frames, b: Frame, queries: Queries, visible: np.ndarray) -> dict[str, np.ndarray]:
