@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from bask_data.sim.take import Take
     from bask_data.sim.world import World
 
-SIMULATE_VERSION = 1
+SIMULATE_VERSION = 2
 """Raise it when the same options give another result."""
 FORMAT = "sim"
 MAX_ATTEMPTS = 20
