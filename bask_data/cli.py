@@ -28,6 +28,7 @@ from bask_data.errors import BaskError, MissingDependency, UsageError
 from bask_data.formats import FORMATS, Format
 from bask_data.params import Params, first_fault
 from bask_data.pipeline import STAGES
+from bask_data.presets import PRESETS, PresetName
 from bask_data.sim.options import SimOptions, TaskName
 from bask_data.stage import Config, Outcome, Stage, State, follow, is_follower, plan, processes, run, state_of
 
@@ -43,6 +44,14 @@ ConfigFile = Annotated[
         "--config",
         help="YAML: a section per stage, or `stage@name` for one item. [default: ROOT/params.yaml]",
         metavar="FILE",
+    ),
+]
+Preset = Annotated[
+    PresetName | None,
+    typer.Option(
+        "--preset",
+        help="How networks are trained: tabletop is the default, bask the paper's way, bask-code that of its code, "
+        "florence that of the Dense Object Nets before. Goes over the file.",
     ),
 ]
 Set = Annotated[
@@ -246,10 +255,12 @@ def _quoted(path: Path) -> str:
     return shlex.quote(str(path))
 
 
-def _parameters(root: Path, config: Path | None, assignments: Sequence[str]) -> Config:
-    """Of `--config`, or else of the dataset's own params.yaml, with `--set` over them."""
+def _parameters(
+    root: Path, config: Path | None, assignments: Sequence[str], preset: PresetName | None = None
+) -> Config:
+    """Of `--config`, or else of the dataset's own params.yaml, with `--preset` and then `--set` over them."""
     own = root / "params.yaml"
-    return load_config(config or (own if own.exists() else None), assignments, STAGES)
+    return load_config(config or (own if own.exists() else None), assignments, STAGES, preset)
 
 
 def _names(text: str) -> list[str]:
@@ -327,6 +338,7 @@ def _add_stage(stage: Stage) -> None:
         _parameter("cluster", Cluster, ""),
         _parameter("force", Force, False),
         _parameter("config", ConfigFile, None),
+        *([_parameter("preset", Preset, None)] if stage.name in PRESETS["bask"] else []),
         _parameter("set_", Set, []),
         _parameter("dry_run", DryRun, False),
         _parameter("json_", Json, False),
@@ -356,7 +368,7 @@ def _add_stage(stage: Stage) -> None:
         tasks = plan(
             dataset,
             stage,
-            config=_parameters(root, config, set_),
+            config=_parameters(root, config, set_, options.get("preset")),
             options=_given(stage.params, options),
             only=_names(options.get("only", "")),
             variant=variant,
@@ -507,6 +519,7 @@ def run_all(
     cluster: Cluster = "",
     force: Force = False,
     config: ConfigFile = None,
+    preset: Preset = None,
     set_: Set = [],  # noqa: B006  # Typer copies it.
     dry_run: DryRun = False,
     json_: Json = False,
@@ -514,7 +527,7 @@ def run_all(
     """Make everything that is missing or stale, in order."""
     dataset = Dataset(root)
     dataset.recover()
-    parameters = _parameters(root, config, set_)
+    parameters = _parameters(root, config, set_, preset)
     chosen = _chosen_recordings(dataset, only)
     names = chosen if only else []
     planned = []
@@ -537,10 +550,16 @@ def run_all(
 
 @app.command()
 @_reporting
-def status(root: Root, config: ConfigFile = None, set_: Set = [], json_: Json = False) -> None:  # noqa: B006
+def status(
+    root: Root,
+    config: ConfigFile = None,
+    preset: Preset = None,
+    set_: Set = [],  # noqa: B006
+    json_: Json = False,
+) -> None:
     """Say of every artifact whether it is up to date, and if not, why."""
     dataset = Dataset(root)
-    parameters = _parameters(root, config, set_)
+    parameters = _parameters(root, config, set_, preset)
     rows: list[tuple[str, str, State]] = []
     for stage in STAGES:
         for variant in dataset.variants(stage.makes):
@@ -642,6 +661,7 @@ def split(
 def dvc(
     root: Root,
     config: ConfigFile = None,
+    preset: Preset = None,
     check: Annotated[
         bool, typer.Option("--check", help="Only say whether the files are what would be written.")
     ] = False,
@@ -651,7 +671,7 @@ def dvc(
     from bask_data.dvc import render
 
     dataset = Dataset(root)
-    rendered = render(dataset, STAGES, _parameters(root, config, []))
+    rendered = render(dataset, STAGES, _parameters(root, config, [], preset))
     stale = [name for name, text in rendered.items() if not (root / name).exists() or (root / name).read_text() != text]
     if json_:
         print(json.dumps({"command": "dvc", "files": sorted(rendered), "changed": stale}))

@@ -7,17 +7,23 @@ from pathlib import Path
 from typing import Any
 
 from bask_data.errors import BadData, UsageError
+from bask_data.presets import PresetName, preset
 from bask_data.stage import Config, Stage
 
 
-def load_config(file: Path | None, assignments: Sequence[str], stages: Iterable[Stage]) -> Config:
-    """Sections `stage` or `stage@name` with parameters; `--set stage.field=value` goes over the file.
+def load_config(
+    file: Path | None, assignments: Sequence[str], stages: Iterable[Stage], preset_name: PresetName | None = None
+) -> Config:
+    """Sections `stage` or `stage@name` with parameters; a preset goes over the file, `--set stage.field=value` over
+    both.
 
     Raises:
         BadData: the file is no YAML mapping of mappings.
         UsageError: a section or a field that no stage has.
     """
     config = _from_file(file) if file else {}
+    for section, values in preset(preset_name, stages).items() if preset_name else ():
+        config.setdefault(section, {}).update(values)
     for assignment in assignments:
         target, equals, text = assignment.partition("=")
         section, dot, field = target.strip().rpartition(".")

@@ -24,15 +24,16 @@ if TYPE_CHECKING:
 
 
 class TrainParams(Params):
-    """The network and how it is trained. The defaults learn from scratch in minutes on a laptop's CPU."""
+    """The network and how it is trained. The defaults take minutes on a laptop's CPU."""
 
     backbone: Literal[
         "resnet18", "resnet34", "resnet50", "resnet101", "efficientnet-lite0", "efficientnet-lite0-tuned", "vit"
     ] = Field(
-        "resnet18",
-        description="The network. efficientnet-lite0 and vit are pretrained and frozen; only a small head is trained.",
+        "efficientnet-lite0-tuned",
+        description="The network. The efficientnets and vit are pretrained; all but the tuned one are frozen, and only "
+        "a small head is trained.",
     )
-    descriptor_dim: int = Field(16, ge=1, description="Numbers in a descriptor.")
+    descriptor_dim: int = Field(32, ge=1, description="Numbers in a descriptor.")
     weights: str | None = Field(
         None,
         description="File of pretrained weights under their publisher's names (.pth or .safetensors). Default: random "
@@ -40,9 +41,15 @@ class TrainParams(Params):
         json_schema_extra={"file": True},
     )
     image_height: int = Field(
-        120, ge=16, multiple_of=8, description="Height images are resized to for the network, pixels."
+        256, ge=16, multiple_of=8, description="Height images are resized to for the network, pixels."
     )
-    steps: int = Field(1000, ge=1, description="Optimiser steps.")
+    crop_share: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Height and width of what a step looks at, as a share of that image: a half costs a quarter.",
+    )
+    steps: int = Field(5000, ge=1, description="Optimiser steps.")
     seed: int = Field(0, ge=0, description="Seed of the weights and of all batches.")
     loss: Literal["infonce", "contrastive"] = Field(
         "infonce",
@@ -86,27 +93,29 @@ class TrainParams(Params):
     decay: float = Field(0.9, gt=0, le=1, description="step: factor on the rate.")
     decay_every: int = Field(1000, ge=1, description="step: steps between two factors.")
     warmup: int = Field(20, ge=0, description="Steps over which the rate rises from zero.")
-    frozen_batch_norm: bool = Field(False, description="Keep the batch statistics of the pretrained weights.")
+    frozen_batch_norm: bool | None = Field(
+        None, description="Keep the batch statistics of the weights. Default: of pretrained ones."
+    )
     zoom: tuple[float, float] = Field(
-        (0.7, 2.0), description="Smallest and largest magnification; 2 shows a crop of half the image."
+        (0.6, 1.5), description="Smallest and largest magnification; 2 shows a crop of half the image."
     )
     crop: Literal["resized", "padded"] = Field(
         "resized",
         description="resized: crops fill the frame, so that objects grow. padded: they keep their size, the rest of "
         "the frame is painted over.",
     )
-    rotation_deg: float = Field(20.0, ge=0, le=180, description="Largest rotation of an image, degrees.")
+    rotation_deg: float = Field(180.0, ge=0, le=180, description="Largest rotation of an image, degrees.")
     flip: float = Field(0.0, ge=0, le=1, description="Probability that a pair is mirrored.")
     background: float = Field(
-        0.3, ge=0, le=1, description="Probability that everything off the objects is painted over."
+        0.1, ge=0, le=1, description="Probability that everything off the objects is painted over."
     )
     composition: float = Field(
         0.0, ge=0, le=1, description="Probability that another object is pasted over the images of a pair."
     )
     colour: float = Field(
-        0.5, ge=0, description="Largest change of brightness, contrast and saturation, as a logarithm."
+        0.2, ge=0, description="Largest change of brightness, contrast and saturation, as a logarithm."
     )
-    hue_deg: float = Field(11.0, ge=0, le=180, description="Largest turn of the colours, degrees.")
+    hue_deg: float = Field(3.0, ge=0, le=180, description="Largest turn of the colours, degrees.")
     noise: float = Field(6.0, ge=0, description="Largest standard deviation of pixel noise, grey levels.")
     blur: float = Field(0.0, ge=0, description="Largest standard deviation of a blur, pixels.")
     validations: int = Field(10, ge=1, description="How often it is validated, evenly over the steps.")
@@ -152,6 +161,9 @@ def train(
 
     if not 0 < params.zoom[0] <= params.zoom[1]:
         raise UsageError("train", "zoom", expected="0 < smallest <= largest", got=f"{params.zoom[0]},{params.zoom[1]}")
+    if params.crop == "padded" and params.crop_share < 1:
+        fix = "--crop-share 1, or --crop resized."
+        raise UsageError("train", "crop_share", expected="1 with padded crops", got=params.crop_share, fix=fix)
     try:
         with joined() if processes() > 1 else nullcontext(ALONE) as group:
             _train(
@@ -179,7 +191,8 @@ def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Pat
     learned, held_out, validated_on = divided(scans, splits, params.held_out)
     size = network.input_size(learned.image_size)
     learned.shrink_to((2 * size[0], 2 * size[1]))
-    settings = _settings(params)
+    crop = (_in_cells(size[0] * params.crop_share), _in_cells(size[1] * params.crop_share))
+    settings = _settings(params, network)
 
     def validate(network: DescriptorNetwork) -> dict[str, float]:
         return validation_metrics(network, held_out) if held_out.n_pairs else {}
@@ -189,8 +202,9 @@ def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Pat
         trained = train_network(
             network,
             learned,
-            _sample(params, size),
-            _augment(params),
+            _sample(params, crop),
+            # Magnification is meant against the whole image, and the crop stands for it.
+            _augment(params, size[0] / crop[0]),
             settings,
             validate=validate,
             state_folder=out,
@@ -219,10 +233,23 @@ def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Pat
     remove_state(out)
 
 
-def _settings(params: TrainParams) -> TrainingSettings:
+def _in_cells(length: float) -> int:
+    """The length as whole cells of the network's output, pixels."""
+    from bask_data.nn.resnet import STRIDE
+
+    return max(round(length / STRIDE), 1) * STRIDE
+
+
+def _settings(params: TrainParams, network: DescriptorNetwork) -> TrainingSettings:
+    from bask_data.nn.backbones import named
     from bask_data.nn.loss import ContrastiveSettings
     from bask_data.nn.training import TrainingSettings
 
+    backbone = named(params.backbone)
+    is_pretrained = params.weights is not None or backbone.weights is not None
+    precision = params.precision
+    if precision == "auto" and network.device.type == "cpu" and not backbone.gains_by_bfloat16:
+        precision = "float32"
     return TrainingSettings(
         steps=params.steps,
         seed=params.seed,
@@ -243,8 +270,8 @@ def _settings(params: TrainParams) -> TrainingSettings:
         decay=params.decay,
         decay_every=params.decay_every,
         warmup=params.warmup,
-        frozen_batch_norm=params.frozen_batch_norm,
-        precision=params.precision,
+        frozen_batch_norm=is_pretrained if params.frozen_batch_norm is None else params.frozen_batch_norm,
+        precision=precision,
         validate_every=max(params.steps // params.validations, 1),
         best_by=None if params.best_by == "none" else f"validation_{params.best_by}",
         patience=params.patience,
@@ -264,11 +291,11 @@ def _sample(params: TrainParams, size: tuple[int, int]) -> SampleSettings:
     )
 
 
-def _augment(params: TrainParams) -> AugmentSettings:
+def _augment(params: TrainParams, enlarged: float) -> AugmentSettings:
     from bask_data.nn.augment import AugmentSettings
 
     return AugmentSettings(
-        zoom=params.zoom,
+        zoom=(enlarged * params.zoom[0], enlarged * params.zoom[1]),
         crop=params.crop,
         rotation=math.radians(params.rotation_deg),
         flip=params.flip,

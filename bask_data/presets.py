@@ -1,0 +1,111 @@
+"""Named sets of parameters: what published descriptor networks were trained with, and the default for a laptop.
+
+A preset sets the fields below, and no others. Where the paper of Bayesian scene keypoints (von Hartz et al. 2023, cited
+by section) leaves a setting open, that of its public code is taken; docs/presets.md has them side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Literal, get_args
+
+from bask_data.stage import Config, Stage
+
+PresetName = Literal["tabletop", "bask", "bask-code", "florence"]
+
+_CONTRASTIVE: dict[str, Any] = {
+    "loss": "contrastive",
+    "image_height": 256,
+    "crop_share": 1.0,
+    "non_matches": 150,
+    "learning_rate": 1e-4,
+    "weight_decay": 1e-4,
+    "schedule": "step",
+    "decay": 0.9,
+    "warmup": 0,
+    "pairs_per_step": 1,
+}
+
+_BASK: dict[str, Any] = {
+    **_CONTRASTIVE,
+    "backbone": "resnet101",
+    "descriptor_dim": 64,
+    "normalised": True,
+    "margin_foreground": 0.25,
+    "margin_background": 0.75,
+    "foreground_share": None,
+    "flip": 0.5,
+    "background": 0.5,
+    "steps": 10000,
+    "decay_every": 500,
+}
+
+PRESETS: dict[PresetName, dict[str, dict[str, Any]]] = {
+    # The defaults of the parameters themselves.
+    "tabletop": {},
+    # Eq. 1 has the hinge on the squared distance; III-A.3: several scales, full rotation, crops of random size down to
+    # half of the image, with blank around them.
+    "bask": {
+        "train": {
+            **_BASK,
+            "hinge": "squared",
+            "hard_negatives": False,
+            "crop": "padded",
+            "zoom": (1.0, 2.0),
+            "rotation_deg": 180.0,
+            "composition": 0.0,
+        },
+    },
+    # Squares the hinge of the distance and divides by the hard negatives; crops are resized back, nothing is turned,
+    # and three of ten pairs have a further object pasted in.
+    "bask-code": {
+        "train": {
+            **_BASK,
+            "hinge": "plain",
+            "hard_negatives": True,
+            "crop": "resized",
+            "zoom": (1.0, 2.0),
+            "rotation_deg": 0.0,
+            "composition": 0.3,
+        },
+    },
+    # The base DON: ResNet-34 and 16 dimensions (Florence et al. 2019), trained as the code of their first paper does.
+    "florence": {
+        "train": {
+            **_CONTRASTIVE,
+            "backbone": "resnet34",
+            "descriptor_dim": 16,
+            "normalised": False,
+            "hinge": "plain",
+            "hard_negatives": True,
+            "margin_foreground": 0.5,
+            "margin_background": 0.5,
+            "foreground_share": 0.5,
+            "crop": "resized",
+            "zoom": (1.0, 1.0),
+            "rotation_deg": 0.0,
+            "flip": 0.5,
+            "background": 0.5,
+            "composition": 0.0,
+            "steps": 3500,
+            "decay_every": 250,
+        },
+    },
+}
+
+
+def preset(name: PresetName, stages: Iterable[Stage]) -> Config:
+    """Every field that any preset sets, with this one's value or the default: no trace of another one is left."""
+    defaults = {stage.name: stage.params().model_dump() for stage in stages}
+    chosen = PRESETS[name]
+    fields: dict[str, list[str]] = {}
+    for sections in PRESETS.values():
+        for section, values in sections.items():
+            fields.setdefault(section, []).extend(values)
+    return {
+        section: {field: chosen.get(section, {}).get(field, defaults[section][field]) for field in names}
+        for section, names in fields.items()
+    }
+
+
+NAMES: tuple[PresetName, ...] = get_args(PresetName)
