@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bask_data.dataset import Dataset
-from bask_data.kinds import Camera, Pick, Recording
+from bask_data.kinds import Camera, Pick, Recording, ReferenceKeypoints
 from bask_data.report import figures
 from bask_data.report import pictures as draw
-from bask_data.report.figures import find_recording, spread_frames
+from bask_data.report.figures import find, find_recording, spread_frames
 from bask_data.report.points import (
     BEHIND,
     SEEN,
@@ -38,11 +38,13 @@ TILE, CROP = 280, 200
 def heat_maps(chosen: Chosen) -> list[Part]:
     """Where each network finds some points in other views, and where they truly are; held-out scenes come first."""
     dataset = chosen.dataset
+    if not chosen.networks:
+        why = "the descriptor network they were described with is not there"
+        there = any(find(dataset, ReferenceKeypoints, "", variant) for variant in chosen.variants)
+        return [{"title": "", "why_not": why}] if there else []
     picks = reference_points(dataset, [*chosen.networks, *chosen.variants])
     if not picks:
         return []
-    if not chosen.networks:
-        return [{"title": "", "why_not": "the descriptor network they were described with is not there"}]
     finders: dict[str, Finder] = {}
     failed = []
     for variant, network in chosen.networks.items():
