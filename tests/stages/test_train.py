@@ -264,8 +264,8 @@ def test_options_reach_the_batches_and_the_loop():
         match_weight=0.2,
         seed=3,
     )
-    assert train_module._augment(params) == AugmentSettings(
-        zoom=(0.5, 1.5),
+    assert train_module._augment(params, 2.0) == AugmentSettings(
+        zoom=(1.0, 3.0),
         crop="padded",
         rotation=np.pi / 2,
         flip=0.1,
@@ -279,7 +279,7 @@ def test_options_reach_the_batches_and_the_loop():
         blur=1.5,
     )
     assert train_module._sample(params, (8, 16)) == SampleSettings((8, 16), 6, 11, 12, 0.3, 4.0)
-    assert train_module._settings(params) == TrainingSettings(
+    assert train_module._settings(params, "cpu") == TrainingSettings(
         steps=100,
         seed=3,
         loss="contrastive",
@@ -299,6 +299,34 @@ def test_options_reach_the_batches_and_the_loop():
         best_by="validation_median_error_px",
         patience=5,
     )
+
+
+def test_what_pretrained_weights_are_best_served_with_is_the_default():
+    tuned, scratch = TrainParams(), TrainParams(backbone="resnet18")
+    of = train_module._settings
+    assert of(tuned, "cpu").frozen_batch_norm and not of(scratch, "cpu").frozen_batch_norm
+    assert of(TrainParams(backbone="resnet18", weights="some.pth"), "cpu").frozen_batch_norm
+    assert not of(TrainParams(frozen_batch_norm=False), "cpu").frozen_batch_norm
+    assert (of(tuned, "cpu").precision, of(tuned, "cuda").precision) == ("float32", "auto")
+    assert of(scratch, "cpu").precision == "auto"
+
+
+def test_a_step_looks_at_a_share_of_the_image_as_large_as_all_of_it_would_show(dataset, monkeypatch):
+    seen = {}
+
+    def look(network, source, sample, augment, *rest, **options):
+        seen.update(size=sample.size, zoom=augment.zoom)
+        raise FloatingPointError("seen enough")
+
+    monkeypatch.setattr("bask_data.nn.training.train_network", look)
+    for share, size, enlarged in ((1.0, (32, 40), 1), (0.5, (16, 24), 2)):
+        made(dataset, seed=9, crop_share=share)
+        assert seen == {"size": size, "zoom": (0.7 * enlarged, 2.0 * enlarged)}
+
+
+def test_padded_crops_show_the_whole_image(dataset):
+    why = made(dataset, crop="padded", crop_share=0.5).why
+    assert why == "train: crop_share: expected 1 with padded crops, got 0.5.  fix: --crop-share 1, or --crop resized."
 
 
 def test_more_processes_than_pairs_are_refused(dataset, monkeypatch):

@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bask_data.config import load_config
+from bask_data.pipeline import STAGES
+from bask_data.presets import NAMES, PRESETS, PresetName, preset
+from bask_data.stage import resolve
+from bask_data.stages.train import TrainParams, train
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_preset_is_made_of_parameters_that_there_are(name: PresetName) -> None:
+    config = load_config(None, [], STAGES, name)
+    params = resolve(train, config, "", "main", {})
+    for field, value in PRESETS[name].get("train", {}).items():
+        assert getattr(params, field) == value
+
+
+def test_all_presets_set_the_same_fields_so_that_none_leaves_a_trace_of_another(tmp_path: Path) -> None:
+    fields = [set(preset(name, STAGES)["train"]) for name in NAMES]
+    assert all(one == fields[0] for one in fields)
+    file = tmp_path / "params.yaml"
+    file.write_text("train: {backbone: resnet50, steps: 7, seed: 5}\n")
+    params = resolve(train, load_config(file, [], STAGES, "tabletop"), "", "main", {})
+    assert params == TrainParams(seed=5)
+
+
+def test_order_is_option_then_set_then_preset_then_file(tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text("train: {backbone: resnet50, descriptor_dim: 3, steps: 7}\n")
+    config = load_config(file, ["train.steps=9"], STAGES, "bask")
+    params = resolve(train, config, "", "main", {"matches": 11})
+    assert (params.backbone, params.descriptor_dim, params.steps, params.matches) == ("resnet101", 64, 9, 11)
+
+
+def test_presets_tell_the_networks_of_the_papers() -> None:
+    bask, base = (resolve(train, load_config(None, [], STAGES, name), "", "main", {}) for name in ("bask", "florence"))
+    assert (bask.backbone, bask.descriptor_dim, bask.normalised) == ("resnet101", 64, True)
+    assert (bask.margin_foreground, bask.margin_background, bask.foreground_share) == (0.25, 0.75, None)
+    assert (base.backbone, base.descriptor_dim, base.rotation_deg, base.zoom) == ("resnet34", 16, 0.0, (1.0, 1.0))
