@@ -32,6 +32,7 @@ class Source(BaseModel):
 
     Args:
         path: of the source, relative to the dataset's directory where that was possible.
+        truth: whether it comes with labels or other truth.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -39,6 +40,7 @@ class Source(BaseModel):
     format: str
     path: str
     options: dict[str, Any] = {}
+    truth: bool = False
 
 
 class Variant(BaseModel):

@@ -30,7 +30,7 @@ def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[st
     for scope, kind in (("scene", Scan), ("demonstration", Demonstration)):
         sources = dataset.file.scenes if scope == "scene" else dataset.file.demonstrations
         for item, source in sources.items():
-            described[f"ingest-{item}"] = _ingest(dataset, kind.kind, item, source)
+            described[f"ingest-{item}"] = _ingest(kind.kind, item, source)
     for stage in stages:
         for variant in dataset.variants(stage.makes):
             for task in plan(dataset, stage, config=config, variant=variant):
@@ -80,9 +80,9 @@ def _yaml_value(value: Any) -> str:
     return text
 
 
-def _ingest(dataset: Dataset, kind: str, item: str, source: Source) -> dict[str, Any]:
+def _ingest(kind: str, item: str, source: Source) -> dict[str, Any]:
     options = [_option(name, value) for name, value in source.options.items()]
-    outs = [f"{kind}/{item}"] + ([f"truth/{item}"] if (dataset.root / "truth" / item).exists() else [])
+    outs = [f"{kind}/{item}", *([f"truth/{item}"] if source.truth else [])]
     if source.path:
         words = f"bask-data ingest {source.format} {_shell(source.path)} . --scene {item} --as {kind} --force"
     else:

@@ -104,12 +104,13 @@ def _enter(
     read: recording.Recording,
 ) -> None:
     """List a published recording."""
-    if not any(camera.labels for camera in read.cameras):
+    has_truth = any(camera.labels for camera in read.cameras)
+    if not has_truth:
         # Labels of a recording that this one replaced would be taken for its truth.
         shutil.rmtree(dataset.path(Truth, item), ignore_errors=True)
     path = os.path.relpath(source.resolve(), dataset.root.resolve())
     given = options.model_dump(mode="json", exclude_defaults=True)
-    dataset.add(makes.scope, item, Source(format=format.name, path=path, options=given))
+    dataset.add(makes.scope, item, Source(format=format.name, path=path, options=given, truth=has_truth))
 
 
 def _source_digest(source: Path, read: recording.Recording) -> str:

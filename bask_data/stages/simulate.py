@@ -145,7 +145,7 @@ def _jobs(options: SimOptions, n_scans: int, n_demonstrations: int, only: Sequen
 
 def _enter(dataset: Dataset, job: Job) -> None:
     given = job.options.model_dump(mode="json", exclude_defaults=True)
-    dataset.add(job.makes.scope, job.item, Source(format=FORMAT, path="", options=given))
+    dataset.add(job.makes.scope, job.item, Source(format=FORMAT, path="", options=given, truth=True))
 
 
 class _Studio:
