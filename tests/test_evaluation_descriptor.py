@@ -94,7 +94,7 @@ def test_matches_stay_away_from_the_edges_of_what_they_are_on(candidates: list) 
     for pair in candidates:
         for frame, uv in ((pair.a, pair.uv_a), (pair.b, pair.uv_b)):
             for du, dv in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                beside = np.rint(uv) + [du, dv]
+                beside = np.rint(uv) + np.array([du, dv])
                 inside = in_image(beside, HEIGHT, WIDTH)
                 _, label = shown_point(SCENES["c"], poses[frame.i], beside[inside])
                 np.testing.assert_array_equal(label, pair.label[inside])

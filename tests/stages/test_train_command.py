@@ -38,8 +38,12 @@ def options(**changed: object) -> list[str]:
     return [
         part
         for name, value in given.items()
-        for part in ([f"--{name}"] if value is True else [f"--{name}", str(value)])
+        for part in ([f"--{name}"] if value is True else [f"--{name}", as_option(value)])
     ]
+
+
+def as_option(value: object) -> str:
+    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def python(*arguments: object) -> subprocess.CompletedProcess[str]:
