@@ -795,6 +795,8 @@ def _named_datasets(given: Sequence[str]) -> dict[str, Dataset]:
         name, is_pair, root = text.partition("=")
         if not (name and is_pair and root):
             raise UsageError("evaluate descriptor", "--against", expected="NAME=ROOT", got=text)
+        if name in found:
+            raise UsageError("evaluate descriptor", "--against", expected="names that differ", got=f"{name} twice")
         found[name] = Dataset(root)
     return found
 

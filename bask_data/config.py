@@ -24,6 +24,10 @@ def load_config(
     config = _from_file(file) if file else {}
     for section, values in preset(preset_name, stages).items() if preset_name else ():
         config.setdefault(section, {}).update(values)
+        # What the file says of one variant would go over what it says of all, and so over the preset.
+        for other in (config[name] for name in config if name.startswith(f"{section}@")):
+            for field in values:
+                other.pop(field, None)
     for assignment in assignments:
         target, equals, text = assignment.partition("=")
         section, dot, field = target.strip().rpartition(".")

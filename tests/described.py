@@ -116,11 +116,13 @@ def publish_masks(dataset: Dataset, item: str, instances: Sequence[np.ndarray], 
     publish_artifact(dataset, VisibleMasks, item, fill)
 
 
-def publish_network(dataset: Dataset, variant: str = "main", **params: object) -> None:
+def publish_network(
+    dataset: Dataset, variant: str = "main", learned_from: tuple[str, ...] | None = None, **params: object
+) -> None:
     """Files in the place of a network; nothing can be described with it."""
 
     def fill(out: Path) -> None:
-        DescriptorNet.write(out, validated_on="nothing", metrics={}, curve=[])
+        DescriptorNet.write(out, validated_on="nothing", metrics={}, curve=[], learned_from=learned_from)
         (out / "weights.safetensors").touch()
         (out / "model.json").write_text("{}")
 

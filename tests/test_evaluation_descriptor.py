@@ -348,6 +348,16 @@ def test_test_scenes_come_before_validation_and_those_before_frames(tmp_path: Pa
     assert held_out(dataset, ["half"], ["c"]).words == "scenes asked for: c; none of them was trained on"
 
 
+def test_scenes_that_a_network_learned_from_before_the_split_changed_are_not_held_out(tmp_path: Path) -> None:
+    dataset = described_dataset(tmp_path / "d", SCENES)
+    publish_network(dataset, "old", learned_from=("b", "c"))
+    dataset.set_splits(Splits(test=("c",)))
+    expected = r"descriptor/old: c: expected scenes that the network was not trained on, got some that it was"
+    with pytest.raises(UsageError, match=expected):
+        held_out(dataset, ["main", "old"])
+    assert held_out(dataset, ["main"]).scenes == ("c",)
+
+
 def test_keypoints_of_held_out_frames_are_told_apart_from_those_trained_on(tmp_path: Path) -> None:
     dataset = described_dataset(tmp_path / "d", {"a": boxes(0)})
     publish_network(dataset, held_out=0.25)
@@ -362,6 +372,8 @@ def test_what_is_missing_is_told(tmp_path: Path) -> None:
         held_out(dataset, ["main"], ["z"])
     with pytest.raises(UsageError, match="--variant: expected one of main, got other.  fix: bask-data train .*other"):
         held_out(dataset, ["other"])
+    with pytest.raises(UsageError, match="--variant: expected one of main, got none.  fix: bask-data train .*main"):
+        held_out(dataset, [])
     (dataset.path(Correspondences, "a").parent.parent / "truth" / "a" / "artifact.json").unlink()
     with pytest.raises(UsageError, match="a: expected a scene with masks, got none.  fix: bask-data run"):
         held_out(dataset, ["main"])
@@ -534,3 +546,7 @@ def test_a_dataset_to_hold_against_needs_a_name(shared: Dataset) -> None:
     shown = CliRunner().invoke(app, ["evaluate", "descriptor", str(shared.root), "--against", "elsewhere"])
     assert shown.exit_code == UsageError.exit_code
     assert "--against: expected NAME=ROOT, got elsewhere" in shown.stderr
+    twice = [part for _ in range(2) for part in ("--against", f"o={shared.root}")]
+    shown = CliRunner().invoke(app, ["evaluate", "descriptor", str(shared.root), *twice])
+    assert shown.exit_code == UsageError.exit_code
+    assert "--against: expected names that differ, got o twice" in shown.stderr

@@ -36,6 +36,13 @@ def test_order_is_option_then_set_then_preset_then_file(tmp_path: Path) -> None:
     assert (params.backbone, params.descriptor_dim, params.steps, params.matches) == ("resnet101", 64, 9, 11)
 
 
+def test_a_preset_goes_over_what_the_file_says_of_one_variant(tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text("train@v2: {descriptor_dim: 9, seed: 4}\n")
+    params = resolve(train, load_config(file, [], STAGES, "florence"), "", "v2", {})
+    assert (params.descriptor_dim, params.seed) == (16, 4)
+
+
 def test_presets_tell_the_networks_of_the_papers() -> None:
     bask, base = (resolve(train, load_config(None, [], STAGES, name), "", "main", {}) for name in ("bask", "florence"))
     assert (bask.backbone, bask.descriptor_dim, bask.normalised) == ("resnet101", 64, True)

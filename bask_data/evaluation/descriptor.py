@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bask_data.dataset import Dataset
-from bask_data.errors import BadData, UsageError
+from bask_data.errors import UsageError
 from bask_data.evaluation.frames import Frames
 from bask_data.evaluation.held_out import held_out
 from bask_data.evaluation.keypoints import keypoint_table
@@ -88,14 +88,7 @@ def evaluated_descriptor(
 
 
 def _network(dataset: Dataset, variant: str) -> DescriptorNetwork:
-    from bask_data.nn.network import load
-
-    path = dataset.path(DescriptorNet, variant=variant)
-    try:
-        return load(path)
-    except Exception as error:  # torch and safetensors raise their own kinds for broken files.
-        fix = "run `bask-data validate`, or train it again."
-        raise BadData(path, "", expected="a network that loads", got=str(error)[:200], fix=fix) from error
+    return DescriptorNet(dataset.path(DescriptorNet, variant=variant)).network()
 
 
 @dataclass(frozen=True)

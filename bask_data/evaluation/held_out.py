@@ -51,6 +51,7 @@ def held_out(dataset: Dataset, variants: Sequence[str], scenes: Sequence[str] = 
         return _there(dataset, HeldOut(tuple(scenes), 1.0, f"scenes asked for: {', '.join(scenes)}; {of_them}"))
     for use, names in (("test", splits.test), ("validation", splits.validation)):
         if names:
+            _check_unseen(dataset, variants, names)
             return _there(dataset, HeldOut(names, 1.0, f"held-out scenes ({use}): {', '.join(names)}"))
     nets = [DescriptorNet(dataset.path(DescriptorNet, variant=name)) for name in variants]
     # A frame is new to all variants where the one that kept the fewest did not see it.
@@ -59,6 +60,21 @@ def held_out(dataset: Dataset, variants: Sequence[str], scenes: Sequence[str] = 
         return _there(dataset, HeldOut(tuple(learned), 1.0, "frames that were trained on: nothing is held out"))
     words = f"held-out frames: the last {share:.0%} of each camera's, of scenes that were trained on"
     return _there(dataset, HeldOut(tuple(learned), share, words))
+
+
+def _check_unseen(dataset: Dataset, variants: Sequence[str], scenes: Sequence[str]) -> None:
+    """A split may have changed since a network was trained."""
+    for name in variants:
+        net = DescriptorNet(dataset.path(DescriptorNet, variant=name))
+        seen = [scene for scene in scenes if scene in (net.metadata.learned_from or ())]
+        if seen:
+            raise UsageError(
+                net.path,
+                ", ".join(seen),
+                expected="scenes that the network was not trained on",
+                got="some that it was: the split has changed since",
+                fix="train it again, or say which scenes you want (--scenes).",
+            )
 
 
 def learned_scenes(dataset: Dataset) -> list[str]:
@@ -74,14 +90,14 @@ def _check_variants(dataset: Dataset, variants: Sequence[str]) -> None:
         for name in dataset.variants(DescriptorNet)
         if (dataset.path(DescriptorNet, variant=name) / MANIFEST).exists()
     ]
-    for name in variants:
+    for name in variants or ("",):
         if name not in known:
             raise UsageError(
                 dataset.root,
                 "--variant",
                 expected=f"one of {', '.join(known) or 'none: no network is trained'}",
-                got=name,
-                fix=f"bask-data train {shlex.quote(str(dataset.root))} --variant {shlex.quote(name)}",
+                got=name or "none",
+                fix=f"bask-data train {shlex.quote(str(dataset.root))} --variant {shlex.quote(name or 'main')}",
             )
 
 

@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bask_data.artifact import Artifact, Metadata, TableSpec, read_json
+from bask_data.errors import BadData
 from bask_data.kinds.arrays import start
 from bask_data.kinds.tables import read_table, write_table
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+    from bask_data.nn.network import DescriptorNetwork
 
 
 class DescriptorMetadata(Metadata):
@@ -22,12 +25,14 @@ class DescriptorMetadata(Metadata):
         metrics: loss terms and validation metrics of the published weights, by name.
         step: optimiser steps after which the weights were as published.
         chosen_by: the metric that was best then; null: they are the last.
+        learned_from: the scenes it was trained on; null: not known.
     """
 
     validated_on: str
     metrics: dict[str, float]
     step: int
     chosen_by: str | None
+    learned_from: tuple[str, ...] | None = None
 
 
 class DescriptorNet(Artifact):
@@ -57,6 +62,20 @@ class DescriptorNet(Artifact):
         """The content of `model.json`."""
         return read_json(self.path / "model.json")
 
+    def network(self) -> DescriptorNetwork:
+        """The network, ready to describe images.
+
+        Raises:
+            BadData: description or weights are damaged, or of another version.
+        """
+        from bask_data.nn.network import load
+
+        try:
+            return load(self.path)
+        except Exception as error:  # torch and safetensors raise their own kinds for broken files.
+            fix = "run `bask-data validate`, or train it again."
+            raise BadData(self.path, "", expected="a network that loads", got=str(error)[:200], fix=fix) from error
+
     def curve(self) -> pa.Table:
         """The training curve as (step, name, value) rows."""
         return read_table(self, "curve.parquet")
@@ -83,10 +102,11 @@ class DescriptorNet(Artifact):
         curve: list[tuple[int, str, float]],
         step: int = 0,
         chosen_by: str | None = None,
+        learned_from: tuple[str, ...] | None = None,
     ) -> None:
         """Write metadata and curve; `weights.safetensors` and `model.json` are written beside them by the network."""
         metadata = {"validated_on": validated_on, "metrics": metrics, "step": step, "chosen_by": chosen_by}
-        start(out, DescriptorNet, metadata)
+        start(out, DescriptorNet, {**metadata, "learned_from": learned_from})
         columns = {
             "step": [row[0] for row in curve],
             "name": [row[1] for row in curve],

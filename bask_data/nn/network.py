@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from numpy import ndarray
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from bask_data.core.geometry import scale_intrinsics, scale_pixels
@@ -180,14 +180,22 @@ def load(folder: Path, device: str | torch.device | None = None) -> DescriptorNe
         ValueError: the weights do not belong to the description.
     """
     content = json.loads((folder / "model.json").read_text(encoding="utf-8"))
+    lacking = [name for name in ("backbone", "descriptor_dim", "height", "mean", "std") if name not in content]
+    if lacking:
+        raise ValueError(f"model.json: {lacking[0]}: expected a value, got none")
+    height = content["height"]
+    if not (isinstance(height, int) and height > 0 and height % STRIDE == 0):
+        raise ValueError(f"model.json: height: expected a multiple of {STRIDE}, got {height}")
+    if not len(content["mean"]) == len(content["std"]) == 3:
+        raise ValueError("model.json: mean, std: expected three numbers each")
     settings = NetworkSettings(
         backbone=content["backbone"],
         descriptor_dim=content["descriptor_dim"],
-        height=content["height"],
+        height=height,
         mean=tuple(content["mean"]),
         std=tuple(content["std"]),
     )
-    state = load_file(folder / "weights.safetensors")
+    state = read_weights(folder / "weights.safetensors")
     network = DescriptorNetwork(settings, state)
     network.channels_last()
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from pickle import UnpicklingError
 
 import torch
 from safetensors.torch import load_file
@@ -14,7 +15,7 @@ def read_weights(file: Path) -> dict[str, Tensor]:
     """Tensors by name from a `.safetensors` file, or a torch file, of which no code is run.
 
     Raises:
-        ValueError: the file holds something else than tensors by name.
+        ValueError: the file holds something else than tensors of finite numbers by name.
     """
     try:
         content = (
@@ -22,12 +23,19 @@ def read_weights(file: Path) -> dict[str, Tensor]:
             if file.suffix == ".safetensors"
             else torch.load(file, map_location="cpu", weights_only=True)
         )
+    except UnpicklingError as error:
+        raise ValueError("a file that holds code, or something else than tensors; none of it was run") from error
     except Exception as error:  # torch and safetensors raise their own kinds for broken files.
         raise ValueError(f"a file that cannot be read: {str(error)[:300]}") from error
     if isinstance(content, dict) and isinstance(content.get("state_dict"), dict):
         content = content["state_dict"]
-    if not isinstance(content, dict) or not all(isinstance(value, Tensor) for value in content.values()):
+    if not isinstance(content, dict) or not all(
+        isinstance(name, str) and isinstance(value, Tensor) for name, value in content.items()
+    ):
         raise ValueError("expected tensors by name, as torch.save(network.state_dict(), ...) writes them")
+    spoilt = next((name for name, value in content.items() if not torch.isfinite(value).all()), None)
+    if spoilt is not None:
+        raise ValueError(f"{spoilt} has numbers that are not finite")
     return dict(content)
 
 

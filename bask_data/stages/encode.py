@@ -164,9 +164,7 @@ def gripper_motions(demonstration: Demonstration, n_frames: int) -> list[Motion 
 
 def describer(descriptor: DescriptorNet, reference: ReferenceKeypoints) -> Distances:
     """The network and the references as one function from images to distance maps."""
-    from bask_data.nn.network import load
-
-    network, references = load(descriptor.path), reference.descriptors
+    network, references = descriptor.network(), reference.descriptors
     dimension = network.settings.descriptor_dim
     if references.shape[1] != dimension:
         raise BadData(

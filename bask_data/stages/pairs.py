@@ -84,6 +84,11 @@ class Pairs:
         self._bytes = 0
 
     @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of the scans they are of, sorted."""
+        return tuple(sorted({scan.name for scan, _ in self._chosen}))
+
+    @property
     def n_pairs(self) -> int:
         return len(self._chosen)
 

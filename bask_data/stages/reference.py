@@ -53,9 +53,7 @@ def reference(
     By itself, it takes points that are found again in other views, spread over the objects, away from their edges and
     with measured depth. Points by hand are given as --picks.
     """
-    from bask_data.nn.network import load
-
-    network = load(descriptor.path)
+    network = descriptor.network()
     by_name = {scan.path.name: (scan, mask) for scan, mask in zip(scans, masks, strict=True)}
     if params.picks and not params.auto:
         picks, descriptors = _picked(params, by_name, network)

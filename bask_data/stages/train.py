@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from bask_data.nn.training import TrainingSettings
 
 
+MOST_ZOOM = 10.0
+"""Beyond, an image is a few pixels, or a few pixels are an image."""
+
+
 class TrainParams(Params):
     """The network and how it is trained. The defaults take minutes on a laptop's CPU."""
 
@@ -159,8 +163,9 @@ def train(
     """
     from bask_data.nn.processes import ALONE, TooManyProcesses, joined
 
-    if not 0 < params.zoom[0] <= params.zoom[1]:
-        raise UsageError("train", "zoom", expected="0 < smallest <= largest", got=f"{params.zoom[0]},{params.zoom[1]}")
+    if not 1 / MOST_ZOOM <= params.zoom[0] <= params.zoom[1] <= MOST_ZOOM:
+        expected = f"{1 / MOST_ZOOM:g} <= smallest <= largest <= {MOST_ZOOM:g}"
+        raise UsageError("train", "zoom", expected=expected, got=f"{params.zoom[0]:g},{params.zoom[1]:g}")
     if params.crop == "padded" and params.crop_share < 1:
         fix = "--crop-share 1, or --crop resized."
         raise UsageError("train", "crop_share", expected="1 with padded crops", got=params.crop_share, fix=fix)
@@ -229,6 +234,7 @@ def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Pat
         curve=trained.curve,
         step=trained.step,
         chosen_by=settings.best_by if held_out.n_pairs else None,
+        learned_from=learned.scenes,
     )
     remove_state(out)
 

@@ -197,3 +197,21 @@ def test_every_backbone_has_a_head_and_a_description():
             network = DescriptorNetwork(NetworkSettings(name, 8, 48))
         assert network.encoder.get_submodule("head")
         assert len(BACKBONES[name].description) > 10
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"height": 33}, "model.json: height: expected a multiple of 8, got 33"),
+        ({"height": "a"}, "model.json: height: expected a multiple of 8, got a"),
+        ({"mean": [0.5, 0.5]}, "model.json: mean, std: expected three numbers each"),
+        ({"std": None}, "model.json: std: expected a value, got none"),
+    ],
+)
+def test_a_damaged_description_is_told(tmp_path, changed, message):
+    DescriptorNetwork(NetworkSettings("resnet18", 4, 32)).save(tmp_path)
+    file = tmp_path / "model.json"
+    content = json.loads(file.read_text()) | changed
+    file.write_text(json.dumps({name: value for name, value in content.items() if value is not None}))
+    with pytest.raises(ValueError, match=message):
+        load(tmp_path)

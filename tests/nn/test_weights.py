@@ -90,7 +90,7 @@ def test_a_torch_file_with_code_in_it_is_not_run(tmp_path, capsys):
             return (print, ("code ran",))
 
     torch.save({"conv1.weight": Evil()}, tmp_path / "evil.pth")
-    with pytest.raises(ValueError, match=r"a file that cannot be read: .*(?i:weights.only|unsupported)"):
+    with pytest.raises(ValueError, match="a file that holds code, or something else than tensors; none of it was run"):
         read_weights(tmp_path / "evil.pth")
     assert "code ran" not in capsys.readouterr().out
 
@@ -98,7 +98,7 @@ def test_a_torch_file_with_code_in_it_is_not_run(tmp_path, capsys):
 @pytest.mark.parametrize("suffix", [".pth", ".safetensors"])
 def test_a_broken_file_is_refused(tmp_path, suffix):
     (tmp_path / f"broken{suffix}").write_bytes(b"nothing")
-    with pytest.raises(ValueError, match="a file that cannot be read: "):
+    with pytest.raises(ValueError, match=r"a file that (cannot be read: |holds code, or something else)"):
         read_weights(tmp_path / f"broken{suffix}")
 
 
@@ -106,3 +106,15 @@ def test_a_torch_file_without_tensors_by_name_is_refused(tmp_path):
     torch.save([1, 2, 3], tmp_path / "list.pth")
     with pytest.raises(ValueError, match="expected tensors by name"):
         read_weights(tmp_path / "list.pth")
+
+
+def test_numbers_that_are_not_finite_are_refused_by_name(tmp_path):
+    torch.save({"a": torch.ones(2), "b": torch.tensor([1.0, float("nan")])}, tmp_path / "spoilt.pth")
+    with pytest.raises(ValueError, match="b has numbers that are not finite"):
+        read_weights(tmp_path / "spoilt.pth")
+
+
+def test_names_are_text(tmp_path):
+    torch.save({1: torch.ones(2)}, tmp_path / "numbered.pth")
+    with pytest.raises(ValueError, match="expected tensors by name"):
+        read_weights(tmp_path / "numbered.pth")

@@ -366,7 +366,8 @@ def test_pretrained_weights_are_taken_over(tmp_path):
     [
         ({"weights": "nowhere.pth"}, r"train: weights: expected a file, got nowhere.pth"),
         ({"backbone": "vit"}, r"train: weights: expected pretrained weights, got no file, .* give --weights FILE"),
-        ({"zoom": (2.0, 1.0)}, r"train: zoom: expected 0 < smallest <= largest, got 2.0,1.0"),
+        ({"zoom": (2.0, 1.0)}, r"train: zoom: expected 0.1 <= smallest <= largest <= 10, got 2,1"),
+        ({"zoom": (1.0, 1e30)}, r"train: zoom: expected 0.1 <= smallest <= largest <= 10, got 1,1e\+30"),
         ({"learning_rate": 1e30, "schedule": "step"}, r"train: learning_rate: got loss is .* try a smaller one"),
     ],
 )
