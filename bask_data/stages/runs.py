@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import shutil
 import statistics
+import time
 from pathlib import Path
 
 from bask_data.artifact import write_json_atomically
@@ -22,18 +23,27 @@ class RunLog:
     """
 
     def __init__(self, folder: Path, step: int, n_steps: int) -> None:
-        from tensorboardX import SummaryWriter
+        from tensorboardX.event_file_writer import EventsWriter
+        from tensorboardX.proto.event_pb2 import Event, SessionLog
 
         if step == 0:
             shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True, exist_ok=True)
         self._folder, self._n_steps = folder, n_steps
-        self._writer = SummaryWriter(str(folder), purge_step=step + 1)
+        # SummaryWriter hands events to a thread, and what that has not written yet a kill would lose, flushed or not.
+        self._writer = EventsWriter(str(folder / "events"), filename_suffix=f".{step}")
+        start = SessionLog(status=SessionLog.START)
+        self._writer.write_event(Event(step=step + 1, wall_time=time.time(), session_log=start))
         self._speed: dict[str, list[float]] = {}
 
     def __call__(self, step: int, values: dict[str, float]) -> None:
         """Log what is known of a step."""
+        from tensorboardX.proto.event_pb2 import Event
+        from tensorboardX.summary import scalar
+
         for name, value in values.items():
-            self._writer.add_scalar(_tag(name), value, step)
+            summary = scalar(_tag(name), value)
+            self._writer.write_event(Event(step=step, wall_time=time.time(), summary=summary))
             if name in SPEED:
                 self._speed.setdefault(name, []).append(value)
         validated = {name: value for name, value in values.items() if name.startswith("validation_")}
