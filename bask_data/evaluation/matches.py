@@ -163,19 +163,32 @@ def _queries(frames: Frames, frame: Frame, uv: np.ndarray, label: np.ndarray, de
     return Queries(uv, label, transform(world, points), world[:3, :3] @ tangents, magnification)
 
 
-def _drawn(frames: Frames, frame: Frame, rng: np.random.Generator) -> Queries:
-    """Pixels that show a frame's objects clearly, as equally many of each as there are."""
+def drawn_pixels(
+    frames: Frames, frame: Frame, allowed: np.ndarray, n: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """At most n of the allowed pixels (h, w) that show objects (m, 2), and which (m,): as equally many of each as there
+    are."""
     import numpy as np
 
     from bask_data.core.correspondences import shares
 
-    labels, depth = frames.labels(frame), frames.depth(frame)
-    clear = _clear(frames, frame)
-    pixels = {label: np.flatnonzero((labels == label) & clear) for label in frames.objects}
-    taken = shares(np.array([len(one) for one in pixels.values()]), N_QUERIES)
-    drawn = [rng.choice(one, n, replace=False) for one, n in zip(pixels.values(), taken, strict=True)]
+    labels = frames.labels(frame)
+    pixels = {label: np.flatnonzero((labels == label) & allowed) for label in frames.objects}
+    taken = shares(np.array([len(one) for one in pixels.values()]), n)
+    drawn = [rng.choice(one, k, replace=False) for one, k in zip(pixels.values(), taken, strict=True)]
     v, u = np.divmod(np.concatenate(drawn), labels.shape[1])
-    return _queries(frames, frame, np.stack([u, v], axis=1).astype(float), np.repeat(list(pixels), taken), depth)
+    return np.stack([u, v], axis=1).astype(float), np.repeat(list(pixels), taken)
+
+
+def shows(frames: Frames, frame: Frame, uv: np.ndarray, z: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """Whether a frame shows points of objects (m,), by where they are in it (m, 2) and (m,): nothing hides them."""
+    import numpy as np
+
+    from bask_data.core import scores
+
+    labels = frames.labels(frame)
+    off = np.abs(scores.true_depth(frames.depth(frame), labels, uv) - z)
+    return (scores.label_at(labels, uv) == label) & (off <= TOLERANCE[0] + TOLERANCE[1] * z)
 
 
 def _clear(frames: Frames, frame: Frame) -> np.ndarray:
@@ -195,14 +208,22 @@ def _by_truth(frames: Frames, chosen: list[Frame], rng: np.random.Generator) -> 
     """All pairs of the frames that share enough, with the matches of each first frame's queries."""
     import numpy as np
 
-    queries = [_drawn(frames, frame, rng) for frame in chosen]
+    from bask_data.core.scores import label_at
+
+    clear = {frame: _clear(frames, frame) for frame in chosen}
+    queries = [
+        _queries(frames, frame, *drawn_pixels(frames, frame, clear[frame], N_QUERIES, rng), frames.depth(frame))
+        for frame in chosen
+    ]
     i_first = np.repeat(np.arange(len(chosen)), [len(one.label) for one in queries])
     everything = Queries(**{name: np.concatenate([getattr(one, name) for one in queries]) for name in vars(queries[0])})
     surface = _surfaces(frames, chosen)
     found = []
     for b in progress(chosen, f"finding true matches of {frames.scene}"):
         columns = _projected(frames, b, everything, _visible_shares(frames, b, surface))
-        seen = np.flatnonzero(_seen(frames, b, columns))
+        is_clear = label_at(clear[b].astype(np.uint8), columns["uv_b"]) == 1
+        is_shown = shows(frames, b, columns["uv_b"], columns["points_b"][:, 2], columns["label"])
+        seen = np.flatnonzero(is_clear & is_shown)
         # Sorted by the first frame already, for that is how they were drawn.
         bounds = np.searchsorted(i_first[seen], np.arange(len(chosen) + 1))
         for a, first, end in zip(chosen, bounds[:-1], bounds[1:], strict=True):
@@ -236,18 +257,6 @@ def _visible_shares(frames: Frames, frame: Frame, surface: dict[int, np.ndarray]
         if (labels == label).any():
             result[label] = visible_share(points, label, depth, labels, *camera)
     return result
-
-
-def _seen(frames: Frames, b: Frame, columns: dict[str, np.ndarray]) -> np.ndarray:
-    """Which points another frame really, and clearly, shows (m,)."""
-    import numpy as np
-
-    from bask_data.core import scores
-
-    depth, labels, uv_b, z = frames.depth(b), frames.labels(b), columns["uv_b"], columns["points_b"][:, 2]
-    off = np.abs(scores.true_depth(depth, labels, uv_b) - z)
-    is_clear = scores.label_at(_clear(frames, b).astype(np.uint8), uv_b) == 1
-    return is_clear & (scores.label_at(labels, uv_b) == columns["label"]) & (off <= TOLERANCE[0] + TOLERANCE[1] * z)
 
 
 def _projected(frames: Frames, b: Frame, queries: Queries, visible: np.ndarray) -> dict[str, np.ndarray]:

@@ -69,3 +69,8 @@ class Recording:
     assumptions: dict[str, str]
     files: tuple[Path, ...]
     object_poses: dict[int, ObjectPose] = field(default_factory=dict)
+
+    @property
+    def has_labels(self) -> bool:
+        """Whether any camera comes with labels."""
+        return any(camera.labels for camera in self.cameras)

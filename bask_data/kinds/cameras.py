@@ -108,6 +108,15 @@ class Camera:
 
         return self.depth_raw(i_frame).astype(np.float32) * np.float32(self.depth_scale)
 
+    def points_world(self, i_frame: int, uv: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """World points (n, 3), metres, that pixels (n, 2) of a frame show at z-depths (n,), metres."""
+        import numpy as np
+
+        from bask_data.core.geometry import transform, unproject
+
+        points_camera = unproject(uv.astype(np.float64), depth.astype(np.float64), self.K)
+        return transform(self.world_from_cameras[i_frame], points_camera)
+
     @cached_property
     def _rgb(self) -> zarr.Array:
         return self._group["rgb"]  # type: ignore[return-value]

@@ -222,6 +222,13 @@ def distance_maps(descriptors: Float[Tensor, "d h w"], references: Float[Tensor,
     return z_squared.clamp_(min=0.0).sqrt_().div_(math.sqrt(dimension)).reshape(-1, height, width)
 
 
+def best_matches(distances: Float[Tensor, "k h w"], size: tuple[int, int]) -> Float[ndarray, "k 2"]:
+    """The pixel of least distance in each map, in pixels of the image of `size` (height, width) that the maps span."""
+    height, width = distances.shape[1:]
+    best = distances.flatten(1).argmin(dim=1).cpu().numpy()
+    return scale_pixels(np.stack([best % width, best // width], axis=-1).astype(np.float64), (height, width), size)
+
+
 def _resized(rgb: UInt8[ndarray, "h w 3"], size: tuple[int, int]) -> UInt8[ndarray, "h2 w2 3"]:
     if rgb.shape[:2] == size:
         return np.ascontiguousarray(rgb)

@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from numpy.random import Generator
 
-from bask_data.core.geometry import in_image, invert_rigid, project, scale_pixels, transform
-from bask_data.nn.network import distance_maps
+from bask_data.core.geometry import in_image, invert_rigid, project, transform
+from bask_data.nn.network import best_matches, distance_maps
 
 FOUND = 0.03
 """Share of the image's diagonal within which a point counts as found again."""
@@ -62,9 +62,7 @@ def found_again(
         if not visible.any():
             continue
         distances = distance_maps(view.descriptors, descriptors[torch.from_numpy(np.flatnonzero(visible))])
-        best = distances.flatten(1).argmin(dim=1).cpu().numpy()
-        size = (distances.shape[1], distances.shape[2])
-        found = scale_pixels(np.stack([best % size[1], best // size[1]], axis=-1).astype(float), size, (height, width))
+        found = best_matches(distances, (height, width))
         error = np.linalg.norm(found - uv[visible], axis=1) / np.hypot(height, width)
         hits[visible] += error <= FOUND
         shown[visible] += 1

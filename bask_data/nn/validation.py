@@ -9,8 +9,7 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray
 
-from bask_data.core.geometry import scale_pixels
-from bask_data.nn.network import DescriptorNetwork, distance_maps
+from bask_data.nn.network import DescriptorNetwork, best_matches, distance_maps
 from bask_data.nn.sampling import PairSource
 
 
@@ -29,10 +28,8 @@ def pixel_errors(
         chosen = np.unique(np.linspace(0, len(pair.instance) - 1, n_matches).round().astype(int))
         queries = network.descriptors_at(pair.rgb_a, pair.uv_a[chosen])
         distances = distance_maps(network.describe(pair.rgb_b), queries)
-        best = distances.flatten(1).argmin(dim=1).cpu().numpy()
-        size, map_size = pair.rgb_b.shape[:2], (distances.shape[1], distances.shape[2])
-        found = np.stack([best % map_size[1], best // map_size[1]], axis=-1).astype(np.float64)
-        error = np.linalg.norm(scale_pixels(found, map_size, size) - pair.uv_b[chosen], axis=1)
+        size = (pair.rgb_b.shape[0], pair.rgb_b.shape[1])
+        error = np.linalg.norm(best_matches(distances, size) - pair.uv_b[chosen], axis=1)
         pixels.append(error)
         shares.append(error / math.hypot(*size))
     return np.concatenate(pixels), np.concatenate(shares)

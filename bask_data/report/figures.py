@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, is_dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -32,9 +32,6 @@ from bask_data.kinds import (
     VisibleMasks,
 )
 from bask_data.kinds.truth import ROBOT
-
-if TYPE_CHECKING:
-    from bask_data.nn.network import DescriptorNetwork
 
 TOLERANCE_PX = 5.0
 """A keypoint this close to its object counts as near: labels drawn by people are not better than that."""
@@ -441,21 +438,6 @@ def networks(dataset: Dataset) -> dict[str, DescriptorNet]:
     return dict(there[:MOST_NETWORKS])
 
 
-def loaded(descriptor: DescriptorNet) -> DescriptorNetwork:
-    """The network, ready to describe.
-
-    Raises:
-        BadData: it does not load.
-    """
-    from bask_data.nn.network import load
-
-    try:
-        return load(descriptor.path)
-    except Exception as error:  # Whatever a broken file makes safetensors, torch or JSON raise.
-        fix = "run `bask-data validate`."
-        raise BadData(descriptor.path, "", expected="a network that loads", got=str(error)[:200], fix=fix) from error
-
-
 def descriptors_figures(dataset: Dataset) -> dict[str, Any]:
     """How well networks find in held-out views what they saw in others, on the same few pairs."""
     from bask_data.evaluation import evaluated_descriptor
@@ -464,7 +446,7 @@ def descriptors_figures(dataset: Dataset) -> dict[str, Any]:
     readable, errors = [], {}
     for variant, network in networks(dataset).items():
         try:
-            loaded(network)
+            network.network()
             readable.append(variant)
         except BadData as error:
             errors[variant] = what_is_wrong(error)

@@ -15,7 +15,7 @@ from bask_data.dataset import Dataset
 from bask_data.errors import BadData
 from bask_data.evaluation.held_out import learned_scenes
 from bask_data.kinds import Camera, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Scan, Truth, VisibleMasks
-from bask_data.report.figures import find, find_recording, find_truth, input_variant, loaded, spread_frames
+from bask_data.report.figures import find, find_recording, find_truth, input_variant, spread_frames
 
 N_POINTS = 16
 """Points chosen where no reference keypoints are there."""
@@ -65,7 +65,8 @@ def _inner_points(dataset: Dataset, scan: Scan, masks: VisibleMasks) -> list[Pic
                 uv = inner_pixels(instance == i, depth, border * camera.height, depth.size, rng)
         if not len(uv) or not n:
             continue
-        points = _lifted(camera, i_frame, uv, depth)
+        column, row = uv.astype(int).T
+        points = camera.points_world(i_frame, uv, depth[row, column])
         for row in spread_out(points, np.zeros(len(uv)), min(n, len(uv))):
             (u, v), (x, y, z) = uv[row].tolist(), points[row].tolist()
             where = {"recording": scan.path.name, "camera": camera.name, "frame": i_frame, "u": u, "v": v}
@@ -87,11 +88,6 @@ def _fullest_frame(scan: Scan, masks: VisibleMasks) -> tuple[Camera, int]:
             sizes = np.bincount(masks.camera(camera.name).instance(i_frame).ravel(), minlength=2)[1:]
             best = max(best, (float(np.sqrt(sizes).sum()), camera, i_frame), key=lambda one: one[0])
     return best[1], best[2]
-
-
-def _lifted(camera: Camera, i_frame: int, uv: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    column, row = uv.astype(int).T
-    return transform(camera.world_from_cameras[i_frame], unproject(uv, depth[row, column].astype(np.float64), camera.K))
 
 
 def frame_of(dataset: Dataset, pick: Pick) -> np.ndarray | None:
@@ -257,7 +253,7 @@ class Finder:
         Raises:
             BadData: the network does not load, or does not fit the reference keypoints.
         """
-        self._network = loaded(descriptor)
+        self._network = descriptor.network()
         self.descriptors = self._described(dataset, variant, descriptor, picks)
         """(k, d); NaN for points in images that are not here."""
         self.alpha = temperature(dataset, variant, descriptor)

@@ -51,8 +51,8 @@ def ingest(
     refuse_other_scope(root, makes, item, "choose another --scene.")
     read = format.read(source, options)
     key = _key(makes, format, options, source, read)
-    has_truth = any(camera.labels for camera in read.cameras)
-    if not force and is_current(root, makes, item, key, "choose another --scene, or pass --force.", has_truth):
+    fix = "choose another --scene, or pass --force."
+    if not force and is_current(root, makes, item, key, fix, read.has_labels):
         # A kill between publishing and listing leaves a recording that no command would look at.
         dataset = Dataset.open_or_create(root)
         if item not in dataset.items(makes.scope):
@@ -73,10 +73,9 @@ def _write(
     key: str,
 ) -> list[Outcome]:
     dataset = Dataset.open_or_create(root)
-    has_truth = any(camera.labels for camera in read.cameras)
     begun = time.perf_counter()
-    with scratches(dataset, [Truth, makes] if has_truth else [makes]) as written:
-        if has_truth:
+    with scratches(dataset, [Truth, makes] if read.has_labels else [makes]) as written:
+        if read.has_labels:
             _write_truth(written[Truth], read)
         _write_recording(written[makes], makes, format, read)
         outcomes = published(
@@ -104,13 +103,12 @@ def _enter(
     read: recording.Recording,
 ) -> None:
     """List a published recording."""
-    has_truth = any(camera.labels for camera in read.cameras)
-    if not has_truth:
+    if not read.has_labels:
         # Labels of a recording that this one replaced would be taken for its truth.
         shutil.rmtree(dataset.path(Truth, item), ignore_errors=True)
     path = os.path.relpath(source.resolve(), dataset.root.resolve())
     given = options.model_dump(mode="json", exclude_defaults=True)
-    dataset.add(makes.scope, item, Source(format=format.name, path=path, options=given, truth=has_truth))
+    dataset.add(makes.scope, item, Source(format=format.name, path=path, options=given, truth=read.has_labels))
 
 
 def _source_digest(source: Path, read: recording.Recording) -> str:

@@ -87,7 +87,7 @@ def _picked(
         column, row = round(pick.u), round(pick.v)
         depth = float(camera.depth(pick.frame)[row, column])
         label = int(by_name[pick.recording][1].camera(pick.camera).instance(pick.frame)[row, column])
-        point = _lifted(camera, pick.frame, uv, np.array([depth]))[0] if depth > 0 else None
+        point = camera.points_world(pick.frame, uv, np.array([depth]))[0] if depth > 0 else None
         known = {"instance": label, "point_world": None if point is None else tuple(point.tolist())}
         if any(pick.name == other.name for other in picks):
             raise UsageError("reference", "picks", expected="names that differ", got=f"{pick.name} twice")
@@ -231,7 +231,7 @@ def _candidates(
         column, row = uv.astype(int).T
         i_frames += [i] * len(uv)
         pixels.append(uv)
-        points.append(_lifted(camera, i_frame, uv, depth[row, column]))
+        points.append(camera.points_world(i_frame, uv, depth[row, column]))
         descriptors.append(network.descriptors_at(camera.rgb(i_frame), uv.astype(np.float32)))
     joined = torch.cat(descriptors) if descriptors else torch.empty(0, network.settings.descriptor_dim)
     return _Candidates(frames, np.array(i_frames, int), np.concatenate(pixels), np.concatenate(points), joined)
@@ -246,13 +246,3 @@ def _view(camera: Camera, i_frame: int, network: DescriptorNetwork) -> Selection
         K=camera.K,
         world_from_camera=camera.world_from_cameras[i_frame],
     )
-
-
-def _lifted(camera: Camera, i_frame: int, uv: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """World points of pixels at measured depths."""
-    import numpy as np
-
-    from bask_data.core.geometry import transform, unproject
-
-    points_camera = unproject(uv.astype(np.float64), depth.astype(np.float64), camera.K)
-    return transform(camera.world_from_cameras[i_frame], points_camera)
