@@ -18,6 +18,7 @@ from bask_data.evaluation.held_out import HeldOut, learned_scenes
 from bask_data.evaluation.matches import drawn_pixels, shows
 from bask_data.evaluation.search import ALPHA, described, descriptors_at, looked_for
 from bask_data.kinds import Scan, Truth
+from bask_data.kinds.places import ObjectPoints, carried, label_of
 from bask_data.progress import progress
 
 if TYPE_CHECKING:
@@ -200,11 +201,15 @@ def _places(
     wanted = set(keypoints.objects)
     having = [scene for scene in scenes if wanted & set(Frames(dataset, scene).objects.values())]
     points = _on_other_instances(keypoints, _shapes(dataset, having)) if is_other else keypoints.points_object
-    return [
-        _place(frames, frame, keypoints.objects, points)
-        for frames in (Frames(dataset, scene) for scene in having)
-        for frame in frames.between(*span, MOST_FRAMES)
-    ]
+    places = []
+    for frames in (Frames(dataset, scene) for scene in having):
+        assert frames.truth is not None
+        labels = tuple(label_of(frames.truth, name, 0) for name in keypoints.objects)
+        # Scenes stand still: where their points are in one frame, they are in all.
+        points_world = carried(ObjectPoints(labels, keypoints.objects, points), frames.truth, 1)[0]
+        chosen = frames.between(*span, MOST_FRAMES)
+        places += [_place(frames, frame, labels, points_world) for frame in chosen]
+    return places
 
 
 def _on_other_instances(keypoints: Keypoints, shapes: dict[str, np.ndarray]) -> np.ndarray:
@@ -224,25 +229,16 @@ def _on_other_instances(keypoints: Keypoints, shapes: dict[str, np.ndarray]) -> 
     return moved
 
 
-def _place(frames: Frames, frame: Frame, objects: Sequence[str], points_object: np.ndarray) -> Place:
+def _place(frames: Frames, frame: Frame, labels: Sequence[int], points_world: np.ndarray) -> Place:
     import numpy as np
 
     from bask_data.core.geometry import in_image, invert_rigid, project, transform
 
-    poses = _world_from_objects(frames)
-    label_of = {name: label for label, name in frames.objects.items()}
-    own = np.array([label_of.get(name, 0) for name in objects])
-    camera_from_world = invert_rigid(frames.world_from_camera(frame))
-    camera = np.stack(
-        [
-            transform(camera_from_world @ poses[label], point) if label else np.full(3, np.nan)
-            for label, point in zip(own.tolist(), points_object, strict=True)
-        ]
-    )
-    uv, z = project(camera, frames.K(frame.camera))
+    own = np.array(labels)
+    uv, z = project(transform(invert_rigid(frames.world_from_camera(frame)), points_world), frames.K(frame.camera))
     seen = shows(frames, frame, uv, z, own)
     inside = in_image(uv, *frames.size(frame.camera))
-    state = np.where(own == 0, ABSENT, np.where(~inside, OUTSIDE, np.where(seen, SEEN, HIDDEN)))
+    state = np.where(own < 0, ABSENT, np.where(~inside, OUTSIDE, np.where(seen, SEEN, HIDDEN)))
     return Place(frames, frame, uv, state)
 
 

@@ -96,7 +96,7 @@ def _held_out_scene(chosen: Chosen, picks: Sequence[Pick], scan: str, is_only: b
     dataset, mine = chosen.dataset, [pick for pick in picks if pick.recording == scan]
     splits = dataset.file.splits
     held_out = [name for name in (*splits.test, *splits.validation) if name != scan and find_recording(dataset, name)]
-    known = (name for name in held_out if any(one is not None for one in TruePlaces(dataset, mine, name).places))
+    known = (name for name in held_out if any(TruePlaces(dataset, mine, name).known))
     return next(known, held_out[0] if is_only and held_out else "")
 
 
@@ -132,7 +132,7 @@ def _heat_part(chosen: Chosen, search: _Search, picks: Sequence[Pick], finders: 
         "n_left_out": sum(pick.recording == picks[indices[0]].recording for pick in picks) - len(indices),
         "alphas": [(variant, finder.alpha) for variant, finder in finders.items()],
         "gradient": draw.heat_gradient(),
-        "with_truth": any(places.places[i] is not None for i in indices),
+        "with_truth": any(places.known[i] for i in indices),
         "why_not": "",
     }
 

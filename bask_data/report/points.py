@@ -8,13 +8,14 @@ from functools import cached_property
 
 import numpy as np
 
-from bask_data.core import scores
-from bask_data.core.geometry import in_image, invert_rigid, project, scale_pixels, transform, unproject
+from bask_data.core.geometry import in_image, scale_pixels
 from bask_data.core.heatmap import softmax_map
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
 from bask_data.evaluation.held_out import learned_scenes
-from bask_data.kinds import Camera, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Scan, Truth, VisibleMasks
+from bask_data.evaluation.places import known_of
+from bask_data.kinds import Camera, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Scan, VisibleMasks
+from bask_data.kinds.places import label_of, picked_label, points_on_objects, true_pixels, true_places
 from bask_data.report.figures import find, find_recording, find_truth, input_variant, spread_frames
 
 N_POINTS = 16
@@ -23,8 +24,6 @@ N_LOOKED_AT = 24
 """Frames of a scene among which the one with most to pick from is looked for."""
 BORDERS = (0.03, 0.015, 0.0)
 """Distances of such points from a mask's edge, as shares of the image's height; the next where an object is slim."""
-HIDDEN = 0.02
-"""Metres: a point is hidden where what the view shows is nearer than it by more than this."""
 ALPHA = 4.0
 """Temperature of the heat maps where nothing says with which the network is used."""
 SEEN, BEHIND, OUTSIDE, UNKNOWN = "seen", "hidden", "out of view", "unknown"
@@ -76,7 +75,8 @@ def _inner_points(dataset: Dataset, scan: Scan, masks: VisibleMasks) -> list[Pic
 
 def _object_name(dataset: Dataset, pick: Pick) -> str:
     """The label's where there is one, else the instance's number."""
-    truth, label = find_truth(dataset, pick.recording), picked_label(dataset, pick)
+    truth = find_truth(dataset, pick.recording)
+    label = picked_label(pick, truth)
     return truth.label_names.get(label, pick.name) if truth and label > 0 else pick.name
 
 
@@ -102,48 +102,6 @@ def frame_of(dataset: Dataset, pick: Pick) -> np.ndarray | None:
 # Truth ---------------------------------------------------------------------------------------------------------------
 
 
-def picked_label(dataset: Dataset, pick: Pick) -> int:
-    """The true label of the object a point was picked on: 0 is background, -1 unknown."""
-    truth = find_truth(dataset, pick.recording)
-    if truth is None or pick.camera not in truth.camera_names:
-        return -1
-    try:
-        labels = truth.instance(pick.camera, pick.frame)
-    except IndexError:
-        return -1
-    return int(scores.label_at(labels, np.array([[pick.u, pick.v]]))[0])
-
-
-def picked_point(dataset: Dataset, pick: Pick) -> np.ndarray | None:
-    """Where the picked point is in its recording's world, metres: by exact depth and camera where they are known."""
-    truth, recording = find_truth(dataset, pick.recording), find_recording(dataset, pick.recording)
-    if truth is not None and recording is not None and truth.has_depth and pick.camera in truth.camera_names:
-        uv = np.array([[pick.u, pick.v]])
-        depth, labels = truth.depth(pick.camera, pick.frame), truth.instance(pick.camera, pick.frame)
-        z = scores.true_depth(depth, labels, uv)
-        if z[0] > 0:
-            world_from_camera = truth.world_from_cameras(pick.camera)[pick.frame]
-            return transform(world_from_camera, unproject(uv, z, recording.camera(pick.camera).K))[0]
-    return None if pick.point_world is None else np.array(pick.point_world, dtype=np.float64)
-
-
-def label_elsewhere(picked_in: Truth | None, label: int, here: Truth | None) -> int:
-    """The label here of what has another recording's label: objects are known by their names, as each recording may
-    number its own; -1 where it is not here."""
-    name = picked_in.label_names.get(label) if picked_in else None
-    found = [number for number, other in sorted(here.label_names.items()) if other == name] if here else []
-    return -1 if name is None or not found else label if label in found else found[0]
-
-
-def object_poses(truth: Truth, label: int) -> np.ndarray | None:
-    """(t, 4, 4), or (1, 4, 4) of what stands still: world from object; None where it is not known."""
-    moving = truth.world_from_objects
-    if moving is not None and label in truth.metadata.object_labels:
-        return moving[:, truth.metadata.object_labels.index(label)]
-    still = truth.metadata.world_from_object.get(label)
-    return None if still is None else np.array(still, dtype=np.float64)[None]
-
-
 @dataclass(frozen=True)
 class TruePixels:
     """Where k points are in one frame.
@@ -161,69 +119,39 @@ class TruePlaces:
     """Where points truly are in a recording: in their own scan by the cameras, elsewhere by the poses of objects."""
 
     def __init__(self, dataset: Dataset, picks: Sequence[Pick], name: str) -> None:
-        self._dataset, self._picks, self._name = dataset, picks, name
+        self._picks, self._name = picks, name
+        self._known = known_of(dataset, picks, name)
         self._truth = find_truth(dataset, name)
 
     @cached_property
-    def places(self) -> list[np.ndarray | None]:
-        """Of each point (t, 3) or, of what stands still, (1, 3), metres, world; None where not known."""
-        return [self._place(pick) for pick in self._picks]
+    def places(self) -> np.ndarray:
+        """(t, k, 3) metres, world; NaN where not known."""
+        return true_places(self._picks, self._known, self._name)
+
+    @cached_property
+    def known(self) -> list[bool]:
+        """Whether a point's place is known in any frame."""
+        return np.isfinite(self.places).all(axis=2).any(axis=0).tolist()
 
     @cached_property
     def absent(self) -> list[bool]:
         """Whether the labels say that a point's object is not in this recording at all."""
-        return [self._is_absent(pick) for pick in self._picks]
-
-    def _is_absent(self, pick: Pick) -> bool:
-        label = picked_label(self._dataset, pick)
-        if self._truth is None or label <= 0 or pick.recording == self._name:
-            return False
-        return label_elsewhere(find_truth(self._dataset, pick.recording), label, self._truth) < 0
-
-    def _place(self, pick: Pick) -> np.ndarray | None:
-        point = picked_point(self._dataset, pick)
-        if point is None:
-            return None
-        if pick.recording == self._name and self._name in self._dataset.file.scenes:
-            return point[None]
-        there, label = find_truth(self._dataset, pick.recording), picked_label(self._dataset, pick)
-        label_here = label_elsewhere(there, label, self._truth)
-        if there is None or self._truth is None or label <= 0 or label_here < 0:
-            return None
-        poses_there, poses_here = object_poses(there, label), object_poses(self._truth, label_here)
-        if poses_there is None or poses_here is None:
-            return None
-        point_object = transform(invert_rigid(poses_there[min(pick.frame, len(poses_there) - 1)]), point)
-        return np.stack([transform(world_from_object, point_object) for world_from_object in poses_here])
-
-    def _points_camera(self, camera: Camera, i_frame: int) -> np.ndarray:
-        """(k, 3) metres, camera frame; NaN where not known."""
-        truth = self._truth
-        exact = truth is not None and truth.has_depth and camera.name in truth.camera_names
-        poses = truth.world_from_cameras(camera.name) if exact and truth is not None else camera.world_from_cameras
-        unknown = np.full(3, np.nan)
-        points = [unknown if one is None else one[min(i_frame, len(one) - 1)] for one in self.places]
-        return transform(invert_rigid(poses[i_frame]), np.array(points).reshape(-1, 3))
+        on = points_on_objects(self._picks, self._known)
+        return [
+            self._truth is not None
+            and pick.recording != self._name
+            and label > 0
+            and label_of(self._truth, name, label) < 0
+            for pick, label, name in zip(self._picks, on.labels, on.names, strict=True)
+        ]
 
     def pixels(self, camera: Camera, i_frame: int) -> TruePixels:
         """Where the points are in a frame, and whether it shows them."""
-        points = self._points_camera(camera, i_frame)
-        uv, z = project(points, camera.K)
-        inside = in_image(uv, camera.height, camera.width)
-        depth = self._depth(camera, i_frame)
-        u, v = np.rint(np.where(inside[:, None], uv, 0)).astype(int).T
-        shown = depth[v.clip(0, depth.shape[0] - 1), u.clip(0, depth.shape[1] - 1)]
-        hidden = inside & (shown > 0) & (z - shown > HIDDEN)
-        known = np.isfinite(points).all(axis=1)
-        columns = zip(known, inside, hidden, strict=True)
+        points = self.places[min(i_frame, len(self.places) - 1)]
+        uv, inside, hidden = true_pixels(points, camera, self._truth, i_frame)
+        columns = zip(np.isfinite(points).all(axis=1), inside, hidden, strict=True)
         states = [UNKNOWN if not k else OUTSIDE if not i else BEHIND if h else SEEN for k, i, h in columns]
         return TruePixels(uv, states)
-
-    def _depth(self, camera: Camera, i_frame: int) -> np.ndarray:
-        truth = self._truth
-        if truth is not None and truth.has_depth and camera.name in truth.camera_names:
-            return truth.depth(camera.name, i_frame)
-        return camera.depth(i_frame)
 
 
 # Networks ------------------------------------------------------------------------------------------------------------
