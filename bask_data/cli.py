@@ -395,8 +395,10 @@ def _add_stage(stage: Stage) -> None:
             for other in STAGES[STAGES.index(stage) + 1 :]
             if stage.makes in [given.artifact for given in other.inputs]
         ]
-        following = later[0].name if later else "report"
-        _finish(stage.name, outcomes, json_, f"bask-data {following} {_quoted(root)}")
+        following = f"{later[0].name if later else 'report'} {_quoted(root)}"
+        if later and variant != "main":
+            following += f" --{stage.makes.kind} {variant}"
+        _finish(stage.name, outcomes, json_, f"bask-data {following}")
 
     _command(app, stage.name, stage.help, parameters, body, "Stages")
 

@@ -46,13 +46,16 @@ def load_weights(encoder: nn.Module, state: Mapping[str, Tensor], ignored: tuple
         ignored: beginnings of names that the file may have and the encoder has not, such as a classifier's.
 
     Raises:
-        ValueError: a parameter has another shape, is missing, or there are more. A deeper network of the same kind has
-            all a shallower one's names in the same shapes, and would otherwise pass for it.
+        ValueError: a parameter has another shape or type, is missing, or there are more. A deeper network of the same
+            kind has all a shallower one's names in the same shapes, and would otherwise pass for it.
     """
     own = encoder.state_dict()
     for name in sorted(own.keys() & state.keys()):
         if own[name].shape != state[name].shape:
             raise ValueError(f"{name}: expected shape {tuple(own[name].shape)}, got {tuple(state[name].shape)}")
+        # Whole numbers would be taken over in silence: quantised weights without their scale.
+        if own[name].is_floating_point() and not state[name].is_floating_point():
+            raise ValueError(f"{name}: expected floating-point numbers, got {str(state[name].dtype).split('.')[-1]}")
     # Counters of seen batches came late to published files, and nothing depends on them.
     needed = [name for name in own if not name.startswith("head.") and not name.endswith("num_batches_tracked")]
     missing = [name for name in needed if name not in state]

@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Correspondences, DescriptorNet, Scan, VisibleMasks
@@ -143,6 +143,35 @@ class TrainParams(Params):
         "auto", description="Of the convolutions in training. auto: bfloat16 where the hardware has it."
     )
 
+    @field_validator("zoom")
+    @classmethod
+    def _is_a_range(cls, zoom: tuple[float, float]) -> tuple[float, float]:
+        if not 1 / MOST_ZOOM <= zoom[0] <= zoom[1] <= MOST_ZOOM:
+            raise ValueError(f"{1 / MOST_ZOOM:g} <= smallest <= largest <= {MOST_ZOOM:g}")
+        return zoom
+
+    @field_validator("crop")
+    @classmethod
+    def _fits_the_share(cls, crop: str, others: ValidationInfo) -> str:
+        if crop == "padded" and others.data.get("crop_share", 1.0) < 1:
+            raise ValueError("resized, or --crop-share 1 with padded crops")
+        return crop
+
+    @field_validator("accumulate")
+    @classmethod
+    def _has_a_pair_each(cls, accumulate: int, others: ValidationInfo) -> int:
+        n_pairs = others.data.get("pairs_per_step", accumulate)
+        if accumulate > n_pairs:
+            raise ValueError(f"at most {n_pairs}, the pairs of a step")
+        return accumulate
+
+    @field_validator("patience")
+    @classmethod
+    def _has_what_to_wait_for(cls, patience: int | None, others: ValidationInfo) -> int | None:
+        if patience is not None and others.data.get("best_by") == "none":
+            raise ValueError("a --best-by other than none, which says what better means")
+        return patience
+
 
 @stage(makes=DescriptorNet, version=2, resumable=True, together=True)
 def train(
@@ -163,12 +192,6 @@ def train(
     """
     from bask_data.nn.processes import ALONE, TooManyProcesses, joined
 
-    if not 1 / MOST_ZOOM <= params.zoom[0] <= params.zoom[1] <= MOST_ZOOM:
-        expected = f"{1 / MOST_ZOOM:g} <= smallest <= largest <= {MOST_ZOOM:g}"
-        raise UsageError("train", "zoom", expected=expected, got=f"{params.zoom[0]:g},{params.zoom[1]:g}")
-    if params.crop == "padded" and params.crop_share < 1:
-        fix = "--crop-share 1, or --crop resized."
-        raise UsageError("train", "crop_share", expected="1 with padded crops", got=params.crop_share, fix=fix)
     try:
         with joined() if processes() > 1 else nullcontext(ALONE) as group:
             _train(
@@ -194,6 +217,9 @@ def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Pat
         remove_all_but_state(out)
     network = _network(params).to(best_device())
     learned, held_out, validated_on = divided(scans, splits, params.held_out)
+    if params.patience is not None and not held_out.n_pairs:
+        fix = "set scenes aside with `bask-data split --validation`, or give a larger --held-out."
+        raise UsageError("train", "patience", expected="matches to validate on", got=validated_on, fix=fix)
     size = network.input_size(learned.image_size)
     learned.shrink_to((2 * size[0], 2 * size[1]))
     crop = (_in_cells(size[0] * params.crop_share), _in_cells(size[1] * params.crop_share))

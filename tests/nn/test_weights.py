@@ -69,6 +69,10 @@ def without(state: dict[str, torch.Tensor], start: str) -> dict[str, torch.Tenso
             {"layer1.0.conv1.weight": torch.zeros(64, 64, 1, 1)},
             r"layer1.0.conv1.weight: expected shape \(64, 64, 3, 3\), got \(64, 64, 1, 1\)",
         ),
+        (
+            {"layer1.0.conv1.weight": torch.zeros(64, 64, 3, 3, dtype=torch.int64)},
+            r"layer1.0.conv1.weight: expected floating-point numbers, got int64",
+        ),
         ({"blocks.0.weight": torch.zeros(3)}, r"names such as blocks.0.weight, not conv1.weight"),
         (without(published(), "layer4"), r"layer4.0.conv1.weight is missing, one of 25"),
         # A ResNet-34 begins as a ResNet-18 does.
