@@ -20,6 +20,14 @@ class Params(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    def reads(self, kind: str) -> tuple[str, ...] | None:
+        """Items whose artifacts of a kind these parameters need, for a stage that may do without some; None: all.
+
+        What is not read is no part of the key and need not be there. It is left out of the list that a stage gathers; a
+        single input, declared `Kind | None`, is None where this gives ().
+        """
+        return None
+
 
 def first_fault(error: ValidationError) -> tuple[str, str, str]:
     """The first thing that is wrong: its field, what was expected there in plain words, and what came."""

@@ -1,7 +1,8 @@
 """Stages: one function that makes one kind of artifact. Everything else is read off its signature.
 
 A parameter annotated with a kind is an input: of the same item if the kind has the stage's scope, the dataset's one if
-the kind belongs to the dataset, and all items' if it is `list[Kind]`. `params` holds what changes the result, `out` is
+the kind belongs to the dataset, and all items' if it is `list[Kind]`. Parameters may do without some (`Params.reads`);
+a single input that may be missing so is annotated `Kind | None`. `params` holds what changes the result, `out` is
 the empty directory to fill, `Splits` gives the dataset's splits; `log`, if it is asked for, is a directory outside the
 artifact for what differs from run to run. Exactly one stage makes a kind, so the graph needs no names.
 """
@@ -16,6 +17,7 @@ import shutil
 import socket
 import sys
 import time
+import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, as_completed
@@ -132,6 +134,8 @@ def stage(
                 wants_splits = True
             elif typing.get_origin(hint) is list:
                 inputs.append(Input(name, typing.get_args(hint)[0], gather=True))
+            elif isinstance(hint, types.UnionType):
+                inputs.append(Input(name, typing.get_args(hint)[0], gather=False))
             elif issubclass(hint, Artifact):
                 inputs.append(Input(name, hint, gather=False))
             else:
@@ -288,6 +292,7 @@ def plan(
     for item in items:
         if only and makes.scope != "dataset" and item not in only:
             continue
+        params = resolve(stage, config or {}, item, variant, options or {})
         inputs = {
             given.name: tuple(
                 Binding(
@@ -295,7 +300,7 @@ def plan(
                     name,
                     chosen.get(given.artifact.kind, variant) if given.artifact.has_variants else "main",
                 )
-                for name in _items_of(dataset, given, item)
+                for name in _items_of(dataset, given, item, params)
             )
             for given in stage.inputs
         }
@@ -305,7 +310,7 @@ def plan(
                 stage=stage,
                 item=item,
                 variant=variant,
-                params=resolve(stage, config or {}, item, variant, options or {}),
+                params=params,
                 inputs=inputs,
                 splits=dataset.file.splits if stage.wants_splits else Splits(),
             )
@@ -323,10 +328,13 @@ def _refuse_unknown_sections(dataset: Dataset, stage: Stage, config: Config, var
             raise UsageError(section, "", expected=f"{name}@ and one of {', '.join(known)}", got=of)
 
 
-def _items_of(dataset: Dataset, given: Input, item: str) -> list[str]:
-    if given.artifact.scope == "dataset":
-        return [""]
-    return dataset.items(given.artifact.scope) if given.gather else [item]
+def _items_of(dataset: Dataset, given: Input, item: str, params: Params) -> list[str]:
+    read = params.reads(given.artifact.kind)
+    if given.gather:
+        return [name for name in dataset.items(given.artifact.scope) if read is None or name in read]
+    if read == ():
+        return []
+    return [""] if given.artifact.scope == "dataset" else [item]
 
 
 def key_parts(task: Task) -> dict[str, Any]:
@@ -375,7 +383,8 @@ def state_of(task: Task) -> State:
             path = task.input_path(binding)
             if not (path / "artifact.json").exists():
                 return State("blocked", f"{path.relative_to(task.root).as_posix()} is missing")
-    if any(not bindings for bindings in task.inputs.values()):
+    wanted = [given for given in task.stage.inputs if task.params.reads(given.artifact.kind) is None]
+    if any(not task.inputs[given.name] for given in wanted):
         return State("blocked", "the dataset has no scenes")
     if not task.target.exists():
         return State("missing")
@@ -445,7 +454,7 @@ def _arguments(task: Task) -> dict[str, Any]:
         handles = [given.artifact(task.input_path(binding)) for binding in task.inputs[given.name]]
         for handle in handles:
             handle.check_complete()
-        arguments[given.name] = handles if given.gather else handles[0]
+        arguments[given.name] = handles if given.gather else next(iter(handles), None)
     hints = typing.get_type_hints(task.stage.function)
     for name, hint in hints.items():
         if hint is Splits:

@@ -14,10 +14,10 @@ from filelock import FileLock
 from bask_data.artifact import read_manifest
 from bask_data.dataset import Dataset, Splits, Variant
 from bask_data.errors import UsageError
-from bask_data.kinds import Demonstration, DescriptorNet, Reconstruction, Scan
+from bask_data.kinds import Demonstration, DescriptorNet, Reconstruction, ReferenceKeypoints, Scan
 from bask_data.stage import Outcome, Stage, State, follow, in_order, is_follower, make, plan, run, state_of
 from tests.datasets import publish_recording
-from tests.toy_stages import fuse, learn, pick
+from tests.toy_stages import fuse, label, learn, pick
 
 
 def add_scan(
@@ -318,3 +318,23 @@ def test_waiting_for_another_process_that_makes_the_same_ends_with_its_result(da
             inode = dataset.path(DescriptorNet).stat().st_ino
         assert waiting.result().status == "made"
     assert dataset.path(DescriptorNet).stat().st_ino == inode
+
+
+def test_inputs_that_the_parameters_do_without_need_not_exist_and_are_no_part_of_the_key(dataset: Dataset) -> None:
+    chosen = {"scans": ("b", "z"), "described": False}
+    assert statuses(dataset, label) == ["blocked"]
+    assert statuses(dataset, label, options=chosen) == ["made"]
+    found = ReferenceKeypoints(dataset.path(ReferenceKeypoints))
+    assert (found.names, found.descriptors.tolist()) == (["b"], [[0.0]])
+    assert list(found.manifest.inputs) == ["scan/b"]
+    add_scan(dataset, "a", level=7)
+    assert statuses(dataset, label, options=chosen) == ["up to date"]
+    add_scan(dataset, "b", level=7)
+    assert statuses(dataset, label, options=chosen) == ["made"]
+
+
+def test_a_dataset_without_what_all_is_read_of_is_blocked_but_not_where_none_is_wanted(tmp_path: Path) -> None:
+    empty = Dataset.create(tmp_path / "empty")
+    [task] = plan(empty, label, options={"described": False})
+    assert state_of(task) == State("blocked", "the dataset has no scenes")
+    assert statuses(empty, label, options={"scans": (), "described": False}) == ["made"]

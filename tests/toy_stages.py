@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from bask_data.errors import BadData
-from bask_data.kinds import DescriptorNet, InstanceRow, ObjectInstances, Reconstruction, Scan
+from bask_data.kinds import DescriptorNet, InstanceRow, ObjectInstances, Pick, Reconstruction, ReferenceKeypoints, Scan
 from bask_data.stage import Params, Splits, is_follower, stage
 
 
@@ -71,3 +71,24 @@ def learn(scans: list[Scan], objects: list[ObjectInstances], splits: Splits, out
     (out / "model.json").write_text("{}")
     metrics = {"n_scans": float(len(scans)), "n_train": float(len(splits.train)), "resumed_at": float(n_done)}
     DescriptorNet.write(out, validated_on="nothing", metrics=metrics, curve=[(1, "loss", 0.5)])
+
+
+class NameParams(Params):
+    """Which scans are named, and whether a network is asked."""
+
+    scans: tuple[str, ...] | None = Field(None, description="Those to name.")
+    described: bool = Field(True, description="Whether a network is needed.")
+
+    def reads(self, kind: str) -> tuple[str, ...] | None:
+        """The named scans; no network if none is needed."""
+        if kind == "scan":
+            return self.scans
+        return None if self.described else ()
+
+
+@stage(makes=ReferenceKeypoints, version=1)
+def label(scans: list[Scan], descriptor: DescriptorNet | None, params: NameParams, out: Path) -> None:
+    """A keypoint in each scan; its descriptor says whether there was a network."""
+    picks = [Pick(name=scan.path.name, recording=scan.path.name, camera="wrist", frame=0, u=0, v=0) for scan in scans]
+    descriptors = np.full((len(scans), 1), descriptor is not None, np.float32)
+    ReferenceKeypoints.write(out, descriptors=descriptors, picks=picks)

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
 from bask_data.errors import BadData, UsageError
-from bask_data.kinds import Camera, DescriptorNet, Pick, ReferenceKeypoints, Scan, VisibleMasks
+from bask_data.kinds import (
+    Camera,
+    Demonstration,
+    DescriptorNet,
+    Pick,
+    Recording,
+    ReferenceKeypoints,
+    Scan,
+    VisibleMasks,
+)
 from bask_data.stage import Params, progress, stage
 
 if TYPE_CHECKING:
@@ -40,24 +50,40 @@ class ReferenceParams(Params):
     scene: str | None = Field(None, description="Scene to take them from. Default: the first.")
     instances: tuple[int, ...] = Field((), description="Objects to put them on, by number. Default: all of the scene.")
     picks: tuple[str, ...] = Field(
-        (), description="Keypoints by hand instead, each scene:camera:frame:u:v or scene:camera:frame:u:v:name."
+        (),
+        description="Keypoints by hand instead, each recording:camera:frame:u:v or recording:camera:frame:u:v:name; a "
+        "recording is a scene or a demonstration.",
     )
+
+    def reads(self, kind: str) -> tuple[str, ...] | None:
+        """Picks by hand need their own recordings only; what is chosen automatically is chosen in scans."""
+        if self.picks and not self.auto:
+            recordings = tuple(dict.fromkeys(text.split(":")[0] for text in self.picks))
+            return recordings if kind in ("scan", "masks", "demonstration") else None
+        return () if kind == "demonstration" else None
 
 
 @stage(makes=ReferenceKeypoints, version=1)
 def reference(
-    scans: list[Scan], masks: list[VisibleMasks], descriptor: DescriptorNet, params: ReferenceParams, out: Path
+    scans: list[Scan],
+    masks: list[VisibleMasks],
+    demonstrations: list[Demonstration],
+    descriptor: DescriptorNet,
+    params: ReferenceParams,
+    out: Path,
 ) -> None:
     """Choose reference keypoints and keep their descriptors.
 
     By itself, it takes points that are found again in other views, spread over the objects, away from their edges and
-    with measured depth. Points by hand are given as --picks.
+    with measured depth. Points by hand are given as --picks, or clicked in a browser with --pick.
     """
     network = descriptor.network()
-    by_name = {scan.path.name: (scan, mask) for scan, mask in zip(scans, masks, strict=True)}
     if params.picks and not params.auto:
-        picks, descriptors = _picked(params, by_name, network)
+        recordings: list[Recording] = [*scans, *demonstrations]
+        labels = {mask.path.name: mask for mask in masks}
+        picks, descriptors = _picked(params.picks, {one.path.name: one for one in recordings}, labels, network)
     else:
+        by_name = {scan.path.name: (scan, mask) for scan, mask in zip(scans, masks, strict=True)}
         name = params.scene or next((name for name, (_, mask) in by_name.items() if mask.n_instances), "")
         if not name:
             raise BadData(
@@ -69,45 +95,64 @@ def reference(
             )
         if name not in by_name:
             raise UsageError("reference", "scene", expected=f"one of {', '.join(by_name)}", got=name)
-        picks, descriptors = _chosen(params, name, *by_name[name], network)
+        picks, descriptors = chosen(params, name, *by_name[name], network)
     ReferenceKeypoints.write(out, descriptors=descriptors, picks=picks)
 
 
 def _picked(
-    params: ReferenceParams, by_name: dict[str, tuple[Scan, VisibleMasks]], network: DescriptorNetwork
+    texts: Sequence[str],
+    recordings: Mapping[str, Recording],
+    masks: Mapping[str, VisibleMasks],
+    network: DescriptorNetwork,
 ) -> tuple[list[Pick], np.ndarray]:
     import numpy as np
 
     picks: list[Pick] = []
     descriptors: list[np.ndarray] = []
-    for i, text in enumerate(params.picks):
-        pick, camera = _parsed(text, f"point_{i}", by_name)
+    for i, text in enumerate(texts):
+        pick, camera = parsed(text, f"point_{i}", recordings)
         uv = np.array([[pick.u, pick.v]], dtype=np.float32)
         descriptors.append(network.descriptors_at(camera.rgb(pick.frame), uv)[0].cpu().numpy())
-        column, row = round(pick.u), round(pick.v)
-        depth = float(camera.depth(pick.frame)[row, column])
-        label = int(by_name[pick.recording][1].camera(pick.camera).instance(pick.frame)[row, column])
-        point = camera.points_world(pick.frame, uv, np.array([depth]))[0] if depth > 0 else None
-        known = {"instance": label, "point_world": None if point is None else tuple(point.tolist())}
         if any(pick.name == other.name for other in picks):
             raise UsageError("reference", "picks", expected="names that differ", got=f"{pick.name} twice")
-        picks.append(pick.model_copy(update=known))
+        picks.append(pick.model_copy(update=_shown(pick, camera, masks.get(pick.recording))))
     return picks, np.stack(descriptors)
 
 
-def _parsed(text: str, name: str, by_name: dict[str, tuple[Scan, VisibleMasks]]) -> tuple[Pick, Camera]:
+def _shown(pick: Pick, camera: Camera, masks: VisibleMasks | None) -> dict[str, Any]:
+    """What the picked pixel shows: the object, 0 without masks, and its place, None without depth."""
+    import numpy as np
+
+    column, row = round(pick.u), round(pick.v)
+    depth = float(camera.depth(pick.frame)[row, column])
+    point = camera.points_world(pick.frame, np.array([[pick.u, pick.v]]), np.array([depth]))[0]
+    return {
+        "instance": 0 if masks is None else int(masks.camera(pick.camera).instance(pick.frame)[row, column]),
+        "point_world": tuple(point.tolist()) if depth > 0 else None,
+    }
+
+
+def parsed(text: str, name: str, recordings: Mapping[str, Recording]) -> tuple[Pick, Camera]:
+    """A pick as the parameters have it, and the camera it was made with.
+
+    Args:
+        name: of a pick that has none.
+
+    Raises:
+        UsageError: it is no such text, or names what does not exist.
+    """
     parts = text.split(":")
     if len(parts) not in (5, 6):
         raise UsageError(
-            "reference", "picks", expected="scene:camera:frame:u:v or scene:camera:frame:u:v:name", got=text
+            "reference", "picks", expected="recording:camera:frame:u:v or recording:camera:frame:u:v:name", got=text
         )
-    scene, camera_name = parts[:2]
-    if scene not in by_name:
-        raise UsageError("reference", "picks", expected=f"one of the scenes {', '.join(by_name)}", got=text)
-    cameras = by_name[scene][0].camera_names
+    recording, camera_name = parts[:2]
+    if recording not in recordings:
+        raise UsageError("reference", "picks", expected="a scene or demonstration of the dataset", got=text)
+    cameras = recordings[recording].camera_names
     if camera_name not in cameras:
         raise UsageError("reference", "picks", expected=f"one of the cameras {', '.join(cameras)}", got=text)
-    camera = by_name[scene][0].camera(camera_name)
+    camera = recordings[recording].camera(camera_name)
     try:
         frame, u, v = int(parts[2]), float(parts[3]), float(parts[4])
     except ValueError as error:
@@ -117,7 +162,12 @@ def _parsed(text: str, name: str, by_name: dict[str, tuple[Scan, VisibleMasks]])
         size = f"frame 0..{camera.n_frames - 1}, u 0..{camera.width - 1}, v 0..{camera.height - 1}"
         raise UsageError("reference", "picks", expected=size, got=text)
     name = parts[5] if len(parts) == 6 else name
-    return Pick(name=name, recording=scene, camera=camera_name, frame=frame, u=u, v=v), camera
+    return Pick(name=name, recording=recording, camera=camera_name, frame=frame, u=u, v=v), camera
+
+
+def as_text(pick: Pick) -> str:
+    """A pick as the parameters have it."""
+    return f"{pick.recording}:{pick.camera}:{pick.frame}:{pick.u:g}:{pick.v:g}:{pick.name}"
 
 
 @dataclass(frozen=True)
@@ -131,9 +181,10 @@ class _Candidates:
     descriptors: torch.Tensor
 
 
-def _chosen(
+def chosen(
     params: ReferenceParams, scene: str, scan: Scan, masks: VisibleMasks, network: DescriptorNetwork
 ) -> tuple[list[Pick], np.ndarray]:
+    """Keypoints chosen automatically on the objects of a scan, and their descriptors (k, d)."""
     import numpy as np
 
     instances = params.instances or tuple(range(1, masks.n_instances + 1))
@@ -148,8 +199,8 @@ def _chosen(
         n = params.n // len(instances) + (order < params.n % len(instances))
         if n == 0:
             continue
-        found, chosen = _of_instance(instance, n, scan, masks, network, params.seed)
-        for i, row in enumerate(chosen):
+        found, rows = _of_instance(instance, n, scan, masks, network, params.seed)
+        for i, row in enumerate(rows):
             camera, i_frame = found.frames[found.i_frame[row]]
             u, v = found.uv[row].tolist()
             x, y, z = found.points_world[row].tolist()

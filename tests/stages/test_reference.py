@@ -11,11 +11,11 @@ import torch
 
 from bask_data.core.geometry import invert_rigid, project, transform
 from bask_data.dataset import Dataset
-from bask_data.kinds import DescriptorNet, ReferenceKeypoints, Scan, VisibleMasks
+from bask_data.kinds import Demonstration, DescriptorNet, ReferenceKeypoints, Scan, VisibleMasks
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings
-from bask_data.stage import make, plan
-from bask_data.stages.reference import reference
-from tests.datasets import publish_artifact
+from bask_data.stage import make, plan, state_of
+from bask_data.stages.reference import as_text, parsed, reference
+from tests.datasets import publish_artifact, publish_recording
 from tests.nn import pairs
 from tests.stages.learning import learning_dataset
 
@@ -108,6 +108,47 @@ def test_points_by_hand_are_taken_as_they_are(dataset):
     np.testing.assert_allclose(found.descriptors[0], expected.numpy(), atol=1e-4)
 
 
+def test_points_by_hand_may_lie_in_demonstrations(dataset, tmp_path):
+    copy = Dataset(shutil.copytree(dataset.root, tmp_path / "copy"))
+    _, world_from_cameras, images = pairs.views(2, 7)
+    images[1].depth[20, 30] = 0
+    publish_recording(
+        copy,
+        "lift",
+        rgb=[image.rgb for image in images],
+        depth=[np.minimum(image.depth, 6.0) for image in images],
+        K=pairs.K,
+        world_from_cameras=world_from_cameras,
+        kind=Demonstration,
+    )
+    found = keypoints(copy, picks=("lift:wrist:1:40:50:corner", "lift:wrist:1:30:20:hole", "b:wrist:0:40:50"))
+    assert [pick.recording for pick in found.picks] == ["lift", "lift", "b"]
+    corner, hole, _ = found.picks
+    # A demonstration has no masks.
+    assert (corner.instance, hole.point_world) == (0, None)
+    uv, z = project(transform(invert_rigid(world_from_cameras[1]), np.array(corner.point_world)), pairs.K)
+    np.testing.assert_allclose(uv, [40, 50], atol=1e-6)
+    assert z == pytest.approx(images[1].depth[50, 40], abs=1e-4)
+    expected = untrained().descriptors_at(images[1].rgb, np.array([[40, 50]], np.float32))[0]
+    np.testing.assert_allclose(found.descriptors[0], expected.numpy(), atol=1e-4)
+    assert sorted(found.manifest.inputs) == ["demonstration/lift", "descriptor/main", "masks/b", "scan/b"]
+
+
+def test_other_recordings_do_not_make_points_by_hand_stale(dataset, tmp_path):
+    copy = Dataset(shutil.copytree(dataset.root, tmp_path / "copy"))
+    picks = {"picks": ("a:wrist:1:40.5:50",)}
+    keypoints(copy, **picks)
+    without_objects(copy, "b")
+    [task] = plan(copy, reference, options=picks)
+    assert state_of(task).status == "up to date"
+
+
+def test_a_pick_is_written_as_it_is_read(dataset):
+    recordings = {"a": Scan(dataset.path(Scan, "a"))}
+    text = "a:wrist:1:40.5:50:top corner"
+    assert as_text(parsed(text, "", recordings)[0]) == text
+
+
 def test_automatic_choice_goes_over_picks(dataset):
     automatic = keypoints(dataset, n=3)
     assert keypoints(dataset, n=3, picks=("a:wrist:1:40.5:50",), auto=True).picks == automatic.picks
@@ -154,8 +195,8 @@ def test_golden(tmp_path, monkeypatch):
         ({"scene": "z"}, r"reference: scene: expected one of a, b, got z"),
         ({"instances": (9,)}, r"reference: instances: expected objects of a, 1..3, got \[9\]"),
         ({"n": 50000}, r"instance 1: expected 16667 pixels with measured depth, got \d+.  fix: ask for fewer"),
-        ({"picks": ("a:wrist:1",)}, r"picks: expected scene:camera:frame:u:v or .*, got a:wrist:1"),
-        ({"picks": ("z:wrist:1:2:3",)}, r"picks: expected one of the scenes a, b, got z"),
+        ({"picks": ("a:wrist:1",)}, r"picks: expected recording:camera:frame:u:v or .*, got a:wrist:1"),
+        ({"picks": ("z:wrist:1:2:3",)}, r"picks: expected a scene or demonstration of the dataset, got z:wrist:1:2:3"),
         ({"picks": ("a:top:1:2:3",)}, r"picks: expected one of the cameras wrist, got a:top"),
         ({"picks": ("a:wrist:x:2:3",)}, r"picks: expected numbers for frame, u and v, got a:wrist:x"),
         ({"picks": ("a:wrist:4:2:3",)}, r"picks: expected frame 0..3, u 0..127, v 0..95, got a:wrist:4"),
