@@ -20,12 +20,14 @@ from scipy.sparse import csr_array
 from bask_data.core.geometry import in_image, invert_rigid, pixel_grid, project, scale_intrinsics, transform, unproject
 from bask_data.core.heatmap import (
     Estimate,
+    Lifted,
     Motion,
     Observation,
     fill_depth,
     fuse,
     keep_last,
     lift,
+    n_keypoints,
     shrink_depth,
     unseen_likelihood,
 )
@@ -68,15 +70,18 @@ class CameraBelief:
 
 @dataclass(frozen=True)
 class DiscreteBelief:
-    """One belief per camera, and the last estimate, which holds while a keypoint is outside of all cameras."""
+    """One belief per camera, and the last estimate, which holds while a keypoint is outside of all cameras.
 
-    cameras: tuple[CameraBelief, ...]
+    A camera that has not given any frame yet has None.
+    """
+
+    cameras: tuple[CameraBelief | None, ...]
     estimate: Estimate
 
 
 def discrete_step(
     belief: DiscreteBelief | None,
-    observations: Sequence[Observation],
+    observations: Sequence[Observation | None],
     motion: Motion | None = None,
     rng: Generator | None = None,
     settings: DiscreteSettings = DiscreteSettings(),
@@ -84,27 +89,51 @@ def discrete_step(
     """Belief and estimate after one more frame. Without a belief, the prior is uniform over the pixels.
 
     Cameras are filtered one by one and their estimates fused. A keypoint more likely outside of an image than inside is
-    not estimated from that camera; outside of all of them, it keeps its last estimate. `motion` and `rng` are unused.
+    not estimated from that camera; outside of all of them, it keeps its last estimate. A camera without a frame keeps
+    its last view, in which only time passes. `motion` and `rng` are unused.
 
     Source: von Hartz et al. 2023, Sec. III-B.
     """
-    cameras, lifted = [], []
-    for i, seen in enumerate(observations):
-        grid, likelihood = _on_grid(seen, settings)
-        prior = _uniform(grid, likelihood.shape) if belief is None else predict(belief.cameras[i], grid, settings)
-        tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
-        posterior, log_evidence = update(prior, likelihood, tau)
-        cameras.append(posterior)
-        inside = posterior.inside.sum(axis=(1, 2))
-        share = np.where(inside > 0, inside, 1.0)[:, None, None]
-        one = lift(np.where(inside[:, None, None] > 0, posterior.inside, 1.0) / share, grid, log_evidence)
-        pixel = _pixels_of_image(one.pixel, likelihood.shape[1:], seen.depth.shape)
-        gone = (posterior.outside > 0.5)[:, None]
-        lifted.append(
-            replace(one, mean=np.where(gone, np.nan, one.mean), mode=np.where(gone, np.nan, one.mode), pixel=pixel)
-        )
-    estimate = keep_last(fuse(lifted), belief.estimate if belief else None, observations)
-    return DiscreteBelief(tuple(cameras), estimate), estimate
+    before = belief.cameras if belief else (None,) * len(observations)
+    filtered = [_camera_step(one, seen, settings) for one, seen in zip(before, observations, strict=True)]
+    k = len(belief.estimate.mean) if belief else n_keypoints(observations)
+    now = fuse([lifted for _, lifted in filtered], k)
+    given = np.array([seen is not None for seen in observations])
+    now = replace(now, pixel=np.where(given[:, None, None], now.pixel, np.nan), observed=now.observed & given[:, None])
+    estimate = keep_last(now, belief.estimate if belief else None, observations)
+    return DiscreteBelief(tuple(one for one, _ in filtered), estimate), estimate
+
+
+def _camera_step(
+    before: CameraBelief | None, seen: Observation | None, settings: DiscreteSettings
+) -> tuple[CameraBelief | None, Lifted | None]:
+    """One camera's belief, and what it says of the keypoints in 3D."""
+    if seen is None:
+        if before is None:
+            return None, None
+        still = Observation(before.inside, before.depth, before.K, before.world_from_camera)
+        posterior = predict(before, still, settings)
+        return posterior, _lifted(posterior, np.zeros(len(posterior.outside)), before.depth.shape)
+    grid, likelihood = _on_grid(seen, settings)
+    prior = _uniform(grid, likelihood.shape) if before is None else predict(before, grid, settings)
+    tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
+    posterior, log_evidence = update(prior, likelihood, tau)
+    return posterior, _lifted(posterior, log_evidence, seen.depth.shape)
+
+
+def _lifted(belief: CameraBelief, log_evidence: Float[ndarray, "k"], image: tuple[int, ...]) -> Lifted:
+    """A camera's belief in 3D, pixels as in an image of that size; NaN for a keypoint that is rather outside."""
+    inside = belief.inside.sum(axis=(1, 2))
+    share = np.where(inside > 0, inside, 1.0)[:, None, None]
+    view = Observation(belief.inside, belief.depth, belief.K, belief.world_from_camera)
+    one = lift(np.where(inside[:, None, None] > 0, belief.inside, 1.0) / share, view, log_evidence)
+    gone = (belief.outside > 0.5)[:, None]
+    return replace(
+        one,
+        mean=np.where(gone, np.nan, one.mean),
+        mode=np.where(gone, np.nan, one.mode),
+        pixel=_pixels_of_image(one.pixel, belief.depth.shape, image),
+    )
 
 
 def predict(belief: CameraBelief, seen: Observation, settings: DiscreteSettings) -> CameraBelief:

@@ -67,22 +67,24 @@ class Estimate:
     log_evidence: Float[ndarray, "k"]
     """Log of the likelihood of this frame given the ones before it."""
     pixel: Float[ndarray, "c k 2"]
-    """(u, v) in each camera, of `depth`'s image; may lie outside of it. NaN behind the camera."""
+    """(u, v) in each camera, of `depth`'s image; may lie outside of it. NaN behind the camera, and in a camera that
+    gave no frame."""
     observed: Bool[ndarray, "c k"]
-    """Whether the camera more likely than not sees the keypoint."""
+    """Whether the camera more likely than not sees the keypoint; False where it gave no frame."""
 
 
 @dataclass(frozen=True)
 class ExpectationSettings:
-    """Settings of the estimate from single frames."""
+    """Settings of the estimate from single frames. The paper's alpha is 4."""
 
-    alpha: float = 4.0
-    """Temperature: a pixel at distance z has weight exp(-alpha z)."""
+    alpha: float = 20.0
+    """Temperature: a pixel at distance z has weight exp(-alpha z). At less, the many pixels of background outweigh the
+    match."""
 
 
 def expectation_step(
     belief: Estimate | None,
-    observations: Sequence[Observation],
+    observations: Sequence[Observation | None],
     motion: Motion | None = None,
     rng: Generator | None = None,
     settings: ExpectationSettings = ExpectationSettings(),
@@ -90,18 +92,40 @@ def expectation_step(
     """The expectation of each heat map, lifted to 3D and fused over the cameras.
 
     Frames are taken one by one; the last estimate matters only where no camera has depth, and is kept there. `motion`
-    and `rng` are
-    unused: they are here so that every filter is called alike.
+    and `rng` are unused: they are here so that every filter is called alike.
 
     Source: von Hartz et al. 2023, Sec. III-A.3.
     """
-    lifted = []
+    lifted: list[Lifted | None] = []
     for seen in observations:
+        if seen is None:
+            lifted.append(None)
+            continue
         z = fitted(seen)
         heat, log_evidence = softmax_map(z.distance, settings.alpha)
         lifted.append(lift(heat, z, log_evidence))
-    estimate = keep_last(fuse(lifted), belief, observations)
+    k = n_keypoints(observations) if belief is None else len(belief.mean)
+    estimate = keep_last(fuse(lifted, k), belief, observations)
     return estimate, estimate
+
+
+def n_keypoints(observations: Sequence[Observation | None]) -> int:
+    """Number of keypoints that the frames speak of; 0 without any frame."""
+    return next((len(seen.distance) for seen in observations if seen is not None), 0)
+
+
+def nothing_known(n_cameras: int, k: int) -> Estimate:
+    """The estimate of k keypoints before there is anything to estimate them from."""
+    unknown = np.full((k, 3), np.nan)
+    return Estimate(
+        mean=unknown,
+        covariance=np.full((k, 3, 3), np.nan),
+        mode=unknown,
+        n_eff=np.zeros(k),
+        log_evidence=np.zeros(k),
+        pixel=np.full((n_cameras, k, 2), np.nan),
+        observed=np.zeros((n_cameras, k), dtype=bool),
+    )
 
 
 def softmax_map(distance: Float[ndarray, "k h w"], alpha: float) -> tuple[Float[ndarray, "k h w"], Float[ndarray, "k"]]:
@@ -221,47 +245,67 @@ def _lifted_covariance(heat: Float[ndarray, "k h w"], seen: Observation) -> Floa
     return rotation @ covariance @ rotation.T
 
 
-def fuse(lifted: Sequence[Lifted]) -> Estimate:
-    """One estimate of several cameras: means weighted by inverse covariance, the mode of the sharpest heat map."""
-    k = len(lifted[0].mean)
+def fuse(lifted: Sequence[Lifted | None], k: int) -> Estimate:
+    """One estimate of several cameras: means weighted by inverse covariance, the mode of the sharpest heat map.
+
+    Args:
+        lifted: None for a camera without a frame.
+        k: number of keypoints.
+    """
+    given = [one for one in lifted if one is not None]
+    nothing = nothing_known(len(lifted), k)
+    if not given:
+        return nothing
     information, weighted = np.zeros((k, 3, 3)), np.zeros((k, 3))
-    for one in lifted:
+    for one in given:
         known = np.isfinite(one.mean).all(axis=1) & np.isfinite(one.covariance).all(axis=(1, 2))
         inverse = np.linalg.inv(one.covariance[known] + POSITION_VARIANCE * np.eye(3))
         information[known] += inverse
         weighted[known] += np.einsum("kij,kj->ki", inverse, one.mean[known])
-    mean, covariance = np.full((k, 3), np.nan), np.full((k, 3, 3), np.nan)
+    mean, covariance = nothing.mean.copy(), nothing.covariance
     any_known = np.trace(information, axis1=1, axis2=2) > 0
     covariance[any_known] = np.linalg.inv(information[any_known])
     mean[any_known] = np.einsum("kij,kj->ki", covariance[any_known], weighted[any_known])
-    sharpest = np.argmax([np.where(np.isfinite(one.mode[:, 0]), one.peak, -1.0) for one in lifted], axis=0)
+    sharpest = np.argmax([np.where(np.isfinite(one.mode[:, 0]), one.peak, -1.0) for one in given], axis=0)
     return Estimate(
         mean=mean,
         covariance=covariance,
-        mode=np.stack([one.mode for one in lifted])[sharpest, np.arange(k)],
-        n_eff=np.mean([one.n_eff for one in lifted], axis=0),
-        log_evidence=np.sum([one.log_evidence for one in lifted], axis=0),
-        pixel=np.stack([one.pixel for one in lifted]),
-        observed=np.stack([np.isfinite(one.mean).all(axis=1) for one in lifted]),
+        mode=np.stack([one.mode for one in given])[sharpest, np.arange(k)],
+        n_eff=np.mean([one.n_eff for one in given], axis=0),
+        log_evidence=np.sum([one.log_evidence for one in given], axis=0),
+        pixel=np.stack([nothing.pixel[i] if one is None else one.pixel for i, one in enumerate(lifted)]),
+        observed=np.stack(
+            [nothing.observed[i] if one is None else np.isfinite(one.mean).all(axis=1) for i, one in enumerate(lifted)]
+        ),
     )
 
 
-def keep_last(now: Estimate, last: Estimate | None, observations: Sequence[Observation]) -> Estimate:
+def keep_last(now: Estimate, last: Estimate | None, observations: Sequence[Observation | None]) -> Estimate:
     """`now`, with the last estimate where no camera could be lifted; its pixels are then those of the kept point."""
     lost = np.isnan(now.mean).any(axis=1)
     if last is None or not lost.any():
         return now
     mean = np.where(lost[:, None], last.mean, now.mean)
-    pixel = np.stack([pixels_of(mean, seen) for seen in observations])
     return Estimate(
         mean=mean,
         covariance=np.where(lost[:, None, None], last.covariance, now.covariance),
         mode=np.where(lost[:, None], last.mode, now.mode),
         n_eff=now.n_eff,
         log_evidence=now.log_evidence,
-        pixel=np.where(lost[None, :, None], pixel, now.pixel),
+        pixel=np.where(lost[None, :, None], projections(mean, observations), now.pixel),
         observed=now.observed,
     )
+
+
+def projections(
+    points_world: Float[ndarray, "k 3"], observations: Sequence[Observation | None]
+) -> Float[ndarray, "c k 2"]:
+    """Where world points lie in each camera's image; NaN behind the camera, and where it gave no frame."""
+    pixels = np.full((len(observations), len(points_world), 2), np.nan)
+    for i, seen in enumerate(observations):
+        if seen is not None:
+            pixels[i] = pixels_of(points_world, seen)
+    return pixels
 
 
 def pixels_of(points_world: Float[ndarray, "*n 3"], seen: Observation) -> Float[ndarray, "*n 2"]:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from numpy.random import Generator
 from scipy.special import ndtr
@@ -20,7 +21,9 @@ from bask_data.core.heatmap import (
     Estimate,
     Motion,
     Observation,
-    pixels_of,
+    n_keypoints,
+    nothing_known,
+    projections,
     shrink_depth,
     softmax_map,
     unseen_likelihood,
@@ -56,16 +59,25 @@ class ParticleSettings:
     """Standard deviation of the random walk in one frame and along each axis, metres."""
     gripper_probability: float = 0.5
     """Probability that a particle near the gripper takes part in the gripper's motion."""
+    gripper_memory: float = 0.0
+    """Probability that it does in a frame what it did in the last: what is held stays held. Zero for the paper's model,
+    in which every frame is drawn anew."""
     gripper_reach: float = 0.15
     """Metres around the gripper's frame within which particles may move with it. Infinity for the paper's model."""
+    gripper_turns: bool = True
+    """Whether particles take part in the gripper's rotation, too. The authors' take part in its translation only."""
     depth_noise: float = 0.02
     """Standard deviation of depth, as a share of depth ..."""
     depth_noise_floor: float = 0.001
     """... and what is added to it, metres."""
+    hidden_without_depth: float = 0.5
+    """p_o at a pixel without depth. The authors' is 1: such a pixel says nothing at all."""
     occlusion_margin: float = 0.05
     """Metres by which something must lie in front of a particle to hide it."""
     resample_below: float = 0.1
     """Resample when the effective number of particles is below this share of all."""
+    resampling: Literal["stratified", "systematic"] = "stratified"
+    """One random number for each new particle, or one for all of them."""
     draw_sharpness: float = 3.0
     """How much higher than alpha the temperature is of the heat maps that particles are drawn from, first and later:
     alpha is made for many frames together, and in a single one leaves most of the weight to the background. One for the
@@ -82,11 +94,13 @@ class ParticleBelief:
 
     points_world: Float[ndarray, "k n 3"]
     weight: Float[ndarray, "k n"]
+    held: Bool[ndarray, "k n"]
+    """Whether a particle took part in the gripper's last motion."""
 
 
 def particle_step(
     belief: ParticleBelief | None,
-    observations: Sequence[Observation],
+    observations: Sequence[Observation | None],
     motion: Motion | None = None,
     rng: Generator | None = None,
     settings: ParticleSettings = ParticleSettings(),
@@ -94,47 +108,56 @@ def particle_step(
     """Belief and estimate after one more frame. Without a belief, particles are drawn from the heat maps.
 
     The estimate is that of the weighted particles, before resampling adds its noise. While no camera has measured any
-    depth there is nothing to draw from: the belief stays None and the estimate NaN. No camera at all is a frame without
-    an observation.
+    depth there is nothing to draw from: the belief stays None and the estimate NaN. A camera without a frame says
+    nothing; without any, only time passes.
 
     Source: von Hartz et al. 2023, Sec. III-B, Eq. 2 and 10.
     """
     rng = np.random.default_rng(0) if rng is None else rng
+    given = [seen for seen in observations if seen is not None]
     if belief is None:
-        drawn = first_particles(observations, rng, settings)
+        drawn = first_particles(given, rng, settings)
         if drawn is None:
-            return None, _nothing(observations)
+            return None, nothing_known(len(observations), n_keypoints(observations))
         points, weight, likelihoods, log_prior = drawn
+        held = np.zeros(weight.shape, dtype=bool)
     else:
-        points = move(belief.points_world, motion, rng, settings)
-        likelihoods = [likelihood(points, seen, settings) for seen in observations]
+        points, held = move(belief, motion, rng, settings)
+        likelihoods = [likelihood(points, seen, settings) for seen in given]
         with np.errstate(divide="ignore"):
             log_weight = np.log(belief.weight)
         for total, _ in likelihoods:
             log_weight = log_weight + np.log(total)
         weight, log_prior = _normalised(log_weight)
     estimate = _estimate(points, weight, likelihoods, observations, log_prior)
-    points, weight = refresh(points, weight, observations, rng, settings)
-    return ParticleBelief(points, weight), estimate
+    return refresh(ParticleBelief(points, weight, held), given, rng, settings), estimate
 
 
 def move(
-    points_world: Float[ndarray, "k n 3"], motion: Motion | None, rng: Generator, settings: ParticleSettings
-) -> Float[ndarray, "k n 3"]:
-    """Particles after one frame: x + m_r + m_w G_t, with G_t the gripper's rigid motion, rotation included.
+    belief: ParticleBelief, motion: Motion | None, rng: Generator, settings: ParticleSettings
+) -> tuple[Float[ndarray, "k n 3"], Bool[ndarray, "k n"]]:
+    """Particles after one frame, and which of them took part in the gripper's motion.
+
+    x + m_r + m_w G_t, with G_t the gripper's rigid motion, rotation included. m_w is drawn anew in each frame with
+    probability 1 - `gripper_memory`, and is else what it was: a Markov chain whose share of ones is p_w.
 
     Source: von Hartz et al. 2023, Eq. 4.
     """
+    points_world = belief.points_world
     n = points_world.shape[1]
     walked = points_world + settings.walk * rng.standard_normal((n, 3))
-    with_gripper = rng.random(n) < settings.gripper_probability
+    drawn_anew, takes_part = rng.random(n) >= settings.gripper_memory, rng.random(n) < settings.gripper_probability
     if motion is None:
-        return walked
+        return walked, belief.held
     now_from_before = motion.world_from_gripper @ invert_rigid(motion.world_from_gripper_before)
     position = motion.world_from_gripper_before[:3, 3]
     near = np.linalg.norm(points_world - position, axis=-1) < settings.gripper_reach
-    carried = transform(now_from_before, points_world) - points_world
-    return walked + carried * (near & with_gripper)[..., None]
+    held = near & np.where(drawn_anew, takes_part, belief.held)
+    if settings.gripper_turns:
+        carried = transform(now_from_before, points_world) - points_world
+    else:
+        carried = np.broadcast_to(motion.world_from_gripper[:3, 3] - position, points_world.shape)
+    return walked + carried * held[..., None], held
 
 
 def likelihood(
@@ -148,8 +171,8 @@ def likelihood(
     particle's. p_d is exp(-(z^d - x^d)^2 / 2 sigma^2): its peak is one, so that tau weighs the same at every depth.
 
     A pixel without depth is a measurement of infinite noise, the limit of the formula for sigma to infinity: p_o = 1/2
-    (hidden or not, nobody knows) and p_d = 1. It says nothing of depth, and half of what it otherwise says of
-    correspondence.
+    (hidden or not, nobody knows; `hidden_without_depth`) and p_d = 1. It says nothing of depth, and half of what it
+    otherwise says of correspondence.
 
     Source: von Hartz et al. 2023, Eq. 6 to 10.
     """
@@ -164,7 +187,9 @@ def likelihood(
     z_d = seen.depth[nearest[:, 1], nearest[:, 0]].astype(np.float64)
     measured = z_d > 0
     sigma = settings.depth_noise * x_d + settings.depth_noise_floor
-    p_o = np.where(measured, 1.0 - ndtr((z_d - (x_d - settings.occlusion_margin)) / sigma), 0.5)
+    p_o = np.where(
+        measured, 1.0 - ndtr((z_d - (x_d - settings.occlusion_margin)) / sigma), settings.hidden_without_depth
+    )
     p_d = np.where(measured, np.exp(-0.5 * ((z_d - x_d) / sigma) ** 2), 1.0)
     p_c = np.exp(-settings.alpha * _sampled(seen, i_keypoint, uv))
     seen_part, total = np.zeros(inside.shape), np.tile(tau[:, None], inside.shape[1])
@@ -250,29 +275,27 @@ def draw(
 
 
 def refresh(
-    points_world: Float[ndarray, "k n 3"],
-    weight: Float[ndarray, "k n"],
-    observations: Sequence[Observation],
-    rng: Generator,
-    settings: ParticleSettings,
-) -> tuple[Float[ndarray, "k n 3"], Float[ndarray, "k n"]]:
+    belief: ParticleBelief, observations: Sequence[Observation], rng: Generator, settings: ParticleSettings
+) -> ParticleBelief:
     """Particles for the next frame: resampled where few of them matter, the lightest ones drawn anew from the heat
     maps.
 
     Source: von Hartz et al. 2023, Sec. III-B.5.
     """
-    k, n = weight.shape
-    points, weight = points_world.copy(), weight.copy()
+    k, n = belief.weight.shape
+    points, weight, held = belief.points_world.copy(), belief.weight.copy(), belief.held.copy()
     spread = rng.random((n,))
+    if settings.resampling == "systematic":
+        spread = np.full_like(spread, spread[0])
     few = 1.0 / np.einsum("kn,kn->k", weight, weight) < settings.resample_below * n
     for i in map(int, np.flatnonzero(few)):
-        points[i] = points[i][stratified(weight[i], spread)]
-        weight[i] = 1.0 / n
+        chosen = stratified(weight[i], spread)
+        points[i], held[i], weight[i] = points[i][chosen], held[i][chosen], 1.0 / n
     n_new = round(settings.redraw_share * n)
     usable = [seen for seen in observations if (seen.depth > 0).any()]
     ties = 1.0 + 1e-6 * rng.random(n)
     if not n_new or not usable:
-        return points, weight
+        return ParticleBelief(points, weight, held)
     parts = np.array_split(np.arange(n_new), len(usable))
     new = np.concatenate(
         [
@@ -285,15 +308,16 @@ def refresh(
     lightest = np.argpartition(weight * ties, n_new, axis=1)[:, :n_new]
     rows = np.arange(k)[:, None]
     points[rows, lightest] = new
+    held[rows, lightest] = False
     weight[rows, lightest] = 0.0
     weight *= (1 - settings.redraw_mass) / weight.sum(axis=1, keepdims=True)
     weight[rows, lightest] = settings.redraw_mass / n_new
-    return points, weight
+    return ParticleBelief(points, weight, held)
 
 
 def stratified(weight: Float[ndarray, "m"], uniform: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
     """Indices of n particles, one drawn from each n-th of the cumulated weight: i appears n weight[i] times in the
-    mean."""
+    mean. With the same random number n times over it is systematic resampling."""
     n = len(uniform)
     total = np.cumsum(weight)
     return np.searchsorted(total, (np.arange(n) + uniform) / n * total[-1], side="right").clip(max=len(weight) - 1)
@@ -311,21 +335,23 @@ def _estimate(
     points: Float[ndarray, "k n 3"],
     weight: Float[ndarray, "k n"],
     likelihoods: Sequence[tuple[Float[ndarray, "k n"], Float[ndarray, "k n"]]],
-    observations: Sequence[Observation],
+    observations: Sequence[Observation | None],
     log_evidence: Float[ndarray, "k"],
 ) -> Estimate:
-    k = len(points)
     mean = np.einsum("kn,kni->ki", weight, points)
     offset = points - mean[:, None]
-    seen_share = [np.einsum("kn,kn->k", weight, part / total) for total, part in likelihoods]
+    observed = np.zeros((len(observations), len(points)), dtype=bool)
+    given = [i for i, seen in enumerate(observations) if seen is not None]
+    for i, (total, part) in zip(given, likelihoods, strict=True):
+        observed[i] = np.einsum("kn,kn->k", weight, part / total) > 0.5
     return Estimate(
         mean=mean,
         covariance=np.einsum("kn,kni,knj->kij", weight, offset, offset, optimize=True),
         mode=mode(points, weight),
         n_eff=1.0 / np.einsum("kn,kn->k", weight, weight),
         log_evidence=log_evidence,
-        pixel=np.stack([pixels_of(mean, seen) for seen in observations]) if observations else np.zeros((0, k, 2)),
-        observed=np.array([share > 0.5 for share in seen_share], dtype=bool).reshape(len(observations), k),
+        pixel=projections(mean, observations),
+        observed=observed,
     )
 
 
@@ -349,17 +375,3 @@ def mode(
         shifted = (np.einsum("kni,kni->kn", away, away) < radius**2) * weight
         inside = np.where(shifted.sum(axis=1)[:, None] > 0, shifted, inside)
     return np.einsum("kn,kni->ki", inside, points) / inside.sum(axis=1)[:, None]
-
-
-def _nothing(observations: Sequence[Observation]) -> Estimate:
-    k = len(observations[0].distance) if observations else 0
-    unknown = np.full((k, 3), np.nan)
-    return Estimate(
-        mean=unknown,
-        covariance=np.full((k, 3, 3), np.nan),
-        mode=unknown,
-        n_eff=np.zeros(k),
-        log_evidence=np.zeros(k),
-        pixel=np.full((len(observations), k, 2), np.nan),
-        observed=np.zeros((len(observations), k), dtype=bool),
-    )

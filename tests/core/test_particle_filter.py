@@ -51,7 +51,13 @@ def wall(
 
 def cloud(mean: list[float], deviation: float | list[float], n: int, seed: int = 0) -> ParticleBelief:
     points = np.asarray(mean) + np.asarray(deviation) * np.random.default_rng(seed).standard_normal((1, n, 3))
-    return ParticleBelief(points, np.full((1, n), 1.0 / n))
+    return even(points)
+
+
+def even(points: np.ndarray) -> ParticleBelief:
+    """Points of equal weight, none of them held."""
+    k, n, _ = points.shape
+    return ParticleBelief(points, np.full((k, n), 1.0 / n), np.zeros((k, n), dtype=bool))
 
 
 def likelihood_by_hand(point: np.ndarray, seen: Observation, s: ParticleSettings) -> float:
@@ -163,8 +169,7 @@ def test_many_particles_agree_with_the_posterior_on_a_grid(case: str) -> None:
     covariance = np.einsum("xyz,xyzi,xyzj->ij", grid, points - mean, points - mean)
 
     rng = np.random.default_rng(1)
-    even = norm.ppf(Sobol(3, rng=0).random_base2(17))
-    belief = ParticleBelief((prior + deviation * even)[None], np.full((1, len(even)), 1 / len(even)))
+    belief = even((prior + deviation * norm.ppf(Sobol(3, rng=0).random_base2(17)))[None])
     got_evidence = 0.0
     for frame in frames:
         belief, estimate = particle_step(belief, [frame], None, rng, settings)
@@ -208,14 +213,16 @@ def test_resampling_happens_only_below_the_threshold() -> None:
     weight = np.where(np.arange(1000) < 200, 1.0, 1e-9)[None]
     weight /= weight.sum()
     settings = replace(PURE, resample_below=0.1)
-    points, kept = refresh(belief.points_world, weight, [], np.random.default_rng(0), settings)
-    np.testing.assert_array_equal(points, belief.points_world)
-    np.testing.assert_array_equal(kept, weight)
-    points, even = refresh(
-        belief.points_world, weight, [], np.random.default_rng(0), replace(settings, resample_below=0.3)
-    )
-    np.testing.assert_allclose(even, 1e-3)
-    assert np.isin(points[0], belief.points_world[0, :200]).mean() > 0.999
+    belief = replace(belief, weight=weight, held=np.arange(1000)[None] % 3 == 0)
+    kept = refresh(belief, [], np.random.default_rng(0), settings)
+    np.testing.assert_array_equal(kept.points_world, belief.points_world)
+    np.testing.assert_array_equal(kept.weight, weight)
+    fresh = refresh(belief, [], np.random.default_rng(0), replace(settings, resample_below=0.3))
+    np.testing.assert_allclose(fresh.weight, 1e-3)
+    came_from = {point: i for i, point in enumerate(belief.points_world[0, :, 0])}
+    index = np.array([came_from[x] for x in fresh.points_world[0, :, 0]])
+    assert (index < 200).mean() > 0.999
+    np.testing.assert_array_equal(fresh.held[0], index % 3 == 0)
 
 
 def test_out_of_view_the_belief_stays_as_it_was() -> None:
@@ -348,12 +355,15 @@ def test_particles_near_the_gripper_take_part_in_its_rotation_and_far_ones_do_no
     n = 20_000
     points = np.stack([np.tile([0.0, 0.0, 1.1], (n, 1)), np.tile([0.0, 0.0, 2.0], (n, 1))])
     settings = ParticleSettings(walk=0.0, gripper_probability=0.3)
-    moved = move(points, Motion(before, now), np.random.default_rng(0), settings)
+    moved, held = move(even(points), Motion(before, now), np.random.default_rng(0), settings)
     carried = np.isclose(moved[0], [0.2, 0.0, 1.0]).all(axis=1)
     np.testing.assert_allclose(carried.mean(), 0.3, atol=0.01)
     np.testing.assert_allclose(moved[0, ~carried], points[0, ~carried])
     np.testing.assert_array_equal(moved[1], points[1])
-    everywhere = move(points, Motion(before, now), np.random.default_rng(0), replace(settings, gripper_reach=np.inf))
+    np.testing.assert_array_equal(held, [carried, np.zeros(n, dtype=bool)])
+    everywhere, _ = move(
+        even(points), Motion(before, now), np.random.default_rng(0), replace(settings, gripper_reach=np.inf)
+    )
     np.testing.assert_allclose(np.isclose(everywhere[1], points[1]).all(axis=1).mean(), 0.7, atol=0.01)
 
 
