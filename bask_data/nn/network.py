@@ -128,11 +128,13 @@ class DescriptorNetwork(nn.Module):
 
     @torch.inference_mode()
     def distance_maps(
-        self, rgb: UInt8[ndarray, "h w 3"], references: Float[ndarray, "k d"]
-    ) -> Float[ndarray, "k h2 w2"]:
+        self, rgb: UInt8[ndarray, "*b h w 3"], references: Float[ndarray, "k d"]
+    ) -> Float[ndarray, "*b k h2 w2"]:
         """Descriptor distance z of every pixel of the resized image to each reference."""
-        found = distance_maps(self.describe(rgb), torch.from_numpy(references).to(self.device))
-        return found.cpu().numpy()
+        wanted, described = torch.from_numpy(references).to(self.device), self.describe(rgb)
+        if described.ndim == 3:
+            return distance_maps(described, wanted).cpu().numpy()
+        return torch.stack([distance_maps(one, wanted) for one in described]).cpu().numpy()
 
     def scaled_intrinsics(self, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Float[ndarray, "3 3"]:
         """Intrinsics of the resized image, for an image of `size`."""

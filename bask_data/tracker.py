@@ -1,0 +1,238 @@
+"""Keypoints of a running robot, frame by frame: what `bask-data encode` does with a stored demonstration.
+
+    tracker = KeypointTracker(descriptor, reference)
+    keypoints = tracker.step(images, depths, intrinsics, world_from_cameras, world_from_gripper)
+
+`docs/runtime.md` shows a whole loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bask_data.core.bayes_filter import Belief, Motion, Observation, ParticleSettings, Settings, step
+from bask_data.core.geometry import rigid_fault, scale_pixels
+from bask_data.core.heatmap import fitted
+from bask_data.errors import BadData
+from bask_data.kinds import DescriptorNet, ReferenceKeypoints
+
+if TYPE_CHECKING:
+    import torch
+
+    from bask_data.nn.network import DescriptorNetwork
+
+
+@dataclass(frozen=True)
+class Keypoints:
+    """Where k keypoints are after a frame, in metres and the world frame. NaN where nothing is known yet.
+
+    Attributes:
+        mean: (k, 3).
+        covariance: (k, 3, 3); a wide one says that the place is not certain.
+        mode: (k, 3), the most likely place.
+        n_eff: (k,) effective number of hypotheses.
+        log_evidence: (k,) log of the likelihood of this frame given the ones before it.
+        pixel: by camera, (k, 2), where its image has the mean; may lie outside of it. NaN behind the camera, and
+            without a frame.
+        observed: by camera, (k,), whether it more likely than not sees the keypoint.
+    """
+
+    names: tuple[str, ...]
+    mean: np.ndarray
+    covariance: np.ndarray
+    mode: np.ndarray
+    n_eff: np.ndarray
+    log_evidence: np.ndarray
+    pixel: dict[str, np.ndarray]
+    observed: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the cameras say of the keypoints in one frame.
+
+    Attributes:
+        observations: by camera.
+        sizes: by camera, (height, width) of its image.
+    """
+
+    observations: dict[str, Observation]
+    sizes: dict[str, tuple[int, int]]
+
+
+class KeypointTracker:
+    """Finds reference keypoints in the frames of any number of cameras, and remembers where they were."""
+
+    def __init__(
+        self,
+        descriptor: DescriptorNet | DescriptorNetwork | Path | str,
+        reference: ReferenceKeypoints | Path | str,
+        settings: Settings | None = None,
+        seed: int = 0,
+        device: torch.device | str | None = None,
+        cameras: Sequence[str] | None = None,
+    ) -> None:
+        """Load the network.
+
+        Args:
+            descriptor: of a dataset, `ROOT/descriptor/main`.
+            reference: of a dataset, `ROOT/reference/main`.
+            settings: of a filter, which their type tells; `core.bayes_filter.settings_named` knows some. Default: the
+                particle filter's.
+            device: of the network. Default: the GPU where there is one.
+            cameras: names in the order the filter takes them. Default: as they come, those of one step by name.
+
+        Raises:
+            BadData: the network does not load, or the references are not of its kind.
+        """
+        if isinstance(descriptor, str | Path):
+            descriptor = DescriptorNet(descriptor)
+        if not isinstance(reference, ReferenceKeypoints):
+            reference = ReferenceKeypoints(reference)
+        network = descriptor.network() if isinstance(descriptor, DescriptorNet) else descriptor
+        self.names = tuple(reference.names)
+        self._network = network if device is None else network.to(device)
+        self._references = _fitting(reference, self._network)
+        self._settings, self._seed, self._given = settings or ParticleSettings(), seed, tuple(cameras or ())
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, as before the first frame."""
+        self._rng = np.random.default_rng(self._seed)
+        self._world_from_gripper: np.ndarray | None = None
+        self.cameras = list(self._given)
+        """Names of the cameras so far."""
+        self.belief: Belief | None = None
+        """What the filter knows."""
+        self.observations: dict[str, Observation] = {}
+        """By camera, what the last step was told."""
+
+    def step(
+        self,
+        images: Mapping[str, np.ndarray],
+        depths: Mapping[str, np.ndarray],
+        intrinsics: Mapping[str, np.ndarray],
+        world_from_cameras: Mapping[str, np.ndarray],
+        world_from_gripper: np.ndarray | None = None,
+    ) -> Keypoints:
+        """Where the keypoints are after one more frame. A camera without a frame this time is left out of `images`.
+
+        Args:
+            images: by camera, (h, w, 3) uint8, red, green, blue.
+            depths: by camera, z-depth (h, w) metres, aligned with the image; 0 means no measurement.
+            intrinsics: by camera, (3, 3), of the image; pixel (0, 0) is the centre of the top-left pixel.
+            world_from_cameras: by camera, (4, 4); camera x right, y down, z forward.
+            world_from_gripper: (4, 4), where it is known: what is held moves with it.
+
+        Raises:
+            ValueError: something is missing for a camera, or has another shape.
+        """
+        return self.update(self.look(images, depths, intrinsics, world_from_cameras), world_from_gripper)
+
+    def look(
+        self,
+        images: Mapping[str, np.ndarray],
+        depths: Mapping[str, np.ndarray],
+        intrinsics: Mapping[str, np.ndarray],
+        world_from_cameras: Mapping[str, np.ndarray],
+    ) -> Look:
+        """The first half of a step, which needs the network but nothing of the frames before."""
+        for name, image in images.items():
+            _check(name, image, depths.get(name), intrinsics.get(name), world_from_cameras.get(name))
+        distances = self._distances(images)
+        return Look(
+            observations={
+                name: fitted(
+                    Observation(
+                        distance=distances[name],
+                        depth=depths[name],
+                        K=intrinsics[name],
+                        world_from_camera=world_from_cameras[name],
+                    )
+                )
+                for name in sorted(images)
+            },
+            sizes={name: (image.shape[0], image.shape[1]) for name, image in images.items()},
+        )
+
+    def update(self, look: Look, world_from_gripper: np.ndarray | None = None) -> Keypoints:
+        """The second half of a step, which needs the belief but not the network."""
+        self.cameras += [name for name in sorted(look.observations) if name not in self.cameras]
+        self.observations = look.observations
+        seen = [look.observations.get(name) for name in self.cameras]
+        self.belief, estimate = step(
+            self.belief, seen, self._moved(world_from_gripper), self._rng, self._settings, len(self.names)
+        )
+        pixel = {
+            name: scale_pixels(estimate.pixel[i], one.depth.shape, look.sizes[name]) if one else estimate.pixel[i]
+            for i, (name, one) in enumerate(zip(self.cameras, seen, strict=True))
+        }
+        return Keypoints(
+            names=self.names,
+            mean=estimate.mean,
+            covariance=estimate.covariance,
+            mode=estimate.mode,
+            n_eff=estimate.n_eff,
+            log_evidence=estimate.log_evidence,
+            pixel=pixel,
+            observed={name: estimate.observed[i] for i, name in enumerate(self.cameras)},
+        )
+
+    def _moved(self, world_from_gripper: np.ndarray | None) -> Motion | None:
+        """The gripper's motion since it was last known; None where it is not known now, or never was."""
+        before = self._world_from_gripper
+        if world_from_gripper is None:
+            return None
+        self._world_from_gripper = world_from_gripper
+        return None if before is None else Motion(before, world_from_gripper)
+
+    def _distances(self, images: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Distance maps (k, h', w') of each image; those of one size are described together."""
+        found: dict[str, np.ndarray] = {}
+        by_size: dict[tuple[int, ...], list[str]] = {}
+        for name in sorted(images):
+            by_size.setdefault(images[name].shape, []).append(name)
+        for names in by_size.values():
+            maps = self._network.distance_maps(np.stack([images[name] for name in names]), self._references)
+            found |= dict(zip(names, maps, strict=True))
+        return found
+
+
+def _fitting(reference: ReferenceKeypoints, network: DescriptorNetwork) -> np.ndarray:
+    """The references' descriptors (k, d)."""
+    descriptors, dimension = reference.descriptors, network.settings.descriptor_dim
+    if descriptors.shape[1] != dimension:
+        raise BadData(
+            reference.path,
+            "descriptors",
+            expected=f"{dimension} values each, as the network gives",
+            got=f"{descriptors.shape[1]}",
+            fix="run `bask-data reference` again with this network.",
+        )
+    return descriptors
+
+
+def _check(
+    name: str,
+    image: np.ndarray,
+    depth: np.ndarray | None,
+    K: np.ndarray | None,
+    world_from_camera: np.ndarray | None,
+) -> None:
+    """Refuse what a filter would take without a word and be lost by."""
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+        raise ValueError(f"camera {name}: image: expected (h, w, 3) uint8, got {image.shape} {image.dtype}")
+    if depth is None or depth.shape != image.shape[:2] or not np.issubdtype(depth.dtype, np.floating):
+        got = "none" if depth is None else f"{depth.shape} {depth.dtype}"
+        raise ValueError(f"camera {name}: depth: expected {image.shape[:2]} in metres, as the image, got {got}")
+    if K is None or K.shape != (3, 3):
+        raise ValueError(f"camera {name}: intrinsics: expected (3, 3), got {'none' if K is None else K.shape}")
+    shape = None if world_from_camera is None else world_from_camera.shape
+    fault = rigid_fault(world_from_camera) if world_from_camera is not None and shape == (4, 4) else f"{shape}"
+    if fault:
+        raise ValueError(f"camera {name}: world_from_camera: expected a rigid transform (4, 4), got {fault}")
