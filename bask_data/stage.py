@@ -331,7 +331,12 @@ def _refuse_unknown_sections(dataset: Dataset, stage: Stage, config: Config, var
 def _items_of(dataset: Dataset, given: Input, item: str, params: Params) -> list[str]:
     read = params.reads(given.artifact.kind)
     if given.gather:
-        return [name for name in dataset.items(given.artifact.scope) if read is None or name in read]
+        items = dataset.items(given.artifact.scope)
+        if given.artifact.scope == "recording":
+            # No stage makes what belongs to recordings: their source brings it, or there is none.
+            sources = {**dataset.file.scenes, **dataset.file.demonstrations}
+            items = [name for name in items if sources[name].truth]
+        return [name for name in items if read is None or name in read]
     if read == ():
         return []
     return [""] if given.artifact.scope == "dataset" else [item]
@@ -384,8 +389,10 @@ def state_of(task: Task) -> State:
             if not (path / "artifact.json").exists():
                 return State("blocked", f"{path.relative_to(task.root).as_posix()} is missing")
     wanted = [given for given in task.stage.inputs if task.params.reads(given.artifact.kind) is None]
-    if any(not task.inputs[given.name] for given in wanted):
-        return State("blocked", "the dataset has no scenes")
+    for given in wanted:
+        if not task.inputs[given.name]:
+            what = "scenes" if given.artifact.scope == "scene" else given.artifact.kind
+            return State("blocked", f"the dataset has no {what}")
     if not task.target.exists():
         return State("missing")
     try:

@@ -8,6 +8,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bask_data.core.bayes_filter import Belief, Motion, Observation, ParticleSettings, Settings, step
+from bask_data.core.belief_arrays import from_arrays, to_arrays
 from bask_data.core.geometry import rigid_fault, scale_pixels
 from bask_data.core.heatmap import fitted
 from bask_data.errors import BadData
@@ -105,6 +108,8 @@ class KeypointTracker:
         """Forget everything, as before the first frame."""
         self._rng = np.random.default_rng(self._seed)
         self._world_from_gripper: np.ndarray | None = None
+        self.n_steps = 0
+        """Steps done."""
         self.cameras = list(self._given)
         """Names of the cameras so far."""
         self.belief: Belief | None = None
@@ -164,6 +169,7 @@ class KeypointTracker:
         """The second half of a step, which needs the belief but not the network."""
         self.cameras += [name for name in sorted(look.observations) if name not in self.cameras]
         self.observations = look.observations
+        self.n_steps += 1
         seen = [look.observations.get(name) for name in self.cameras]
         self.belief, estimate = step(
             self.belief, seen, self._moved(world_from_gripper), self._rng, self._settings, len(self.names)
@@ -182,6 +188,41 @@ class KeypointTracker:
             pixel=pixel,
             observed={name: estimate.observed[i] for i, name in enumerate(self.cameras)},
         )
+
+    def save(self, file: Path) -> None:
+        """Write all that the next step depends on; a kill leaves the file as it was or as it becomes."""
+        from safetensors.numpy import save_file
+
+        arrays = to_arrays(self.belief)
+        if self._world_from_gripper is not None:
+            arrays["gripper"] = self._world_from_gripper
+        words = {"n_steps": self.n_steps, "cameras": self.cameras, "rng": self._rng.bit_generator.state}
+        part = file.with_name(f"{file.name}.part")
+        whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        save_file(whole, part, {"state": json.dumps(words)})
+        with part.open("rb") as handle:
+            os.fsync(handle.fileno())
+        part.replace(file)
+
+    def load(self, file: Path) -> None:
+        """Go on from what `save` wrote, with the same network, references, settings and seed.
+
+        Raises:
+            BadData: the file is no such state.
+        """
+        from safetensors import SafetensorError, safe_open
+
+        try:
+            with safe_open(file, framework="np") as opened:
+                words = json.loads(opened.metadata()["state"])
+                arrays = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+            self.belief = from_arrays(arrays, self._settings)
+            self._rng.bit_generator.state = words["rng"]
+            self.n_steps, self.cameras = int(words["n_steps"]), list(words["cameras"])
+        except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+            raise BadData(file, "", expected="a tracker's state", got=f"{type(error).__name__}: {error}") from error
+        self._world_from_gripper = arrays.get("gripper")
+        self.observations = {}
 
     def _moved(self, world_from_gripper: np.ndarray | None) -> Motion | None:
         """The gripper's motion since it was last known; None where it is not known now, or never was."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
 
 SHARD_FRAMES = 64
 _SHARD_BYTES = 96 * 2**20
+CHUNK_ROWS = 256
+"""Rows of a series in a chunk: few enough to wait for, many enough that an hour does not become thousands of files."""
 _ROWS_PER_CHUNK = 2**18
 
 
@@ -109,6 +112,72 @@ class FrameWriter:
             end = self._n_written + self._n_buffered
             self._array[self._n_written : end] = self._buffer[: self._n_buffered]
             self._n_written, self._n_buffered = end, 0
+
+
+class RowWriter:
+    """Appends small rows to one array, a chunk at a time. Nobody needs to know how many there will be.
+
+    Args:
+        n_kept: rows to go on after, of what a killed writer left: whole chunks. What it wrote beyond goes.
+    """
+
+    def __init__(
+        self, group: zarr.Group, artifact: type[Artifact], name: str, row_shape: tuple[int, ...], n_kept: int = 0
+    ) -> None:
+        import numpy as np
+        import zarr.codecs
+
+        assert n_kept % CHUNK_ROWS == 0, "only whole chunks can be gone on after"
+        spec = spec_of(artifact, name)
+        if n_kept:
+            self._array: zarr.Array = group[name]  # type: ignore[assignment]
+            self._array.resize((n_kept, *row_shape))
+        else:
+            self._array = group.create_array(
+                name,
+                shape=(0, *row_shape),
+                dtype=spec.dtype,
+                chunks=(CHUNK_ROWS, *(max(1, n) for n in row_shape)),
+                compressors=[zarr.codecs.ZstdCodec(level=5, checksum=True)],
+                fill_value=0,
+                attributes=_attributes(spec, {}),
+                dimension_names=spec.dims,
+            )
+        self._name, self._n_buffered = name, 0
+        self._buffer = np.empty((CHUNK_ROWS, *row_shape), dtype=spec.dtype)
+
+    def append(self, row: np.ndarray) -> bool:
+        """Add a row; whether that was the last of a chunk, so that all rows so far are on disk."""
+        if row.shape != self._buffer.shape[1:]:
+            raise ValueError(f"{self._name}: expected a row {self._buffer.shape[1:]}, got {row.shape}")
+        self._buffer[self._n_buffered] = row
+        self._n_buffered += 1
+        if self._n_buffered == CHUNK_ROWS:
+            self.close()
+            return True
+        return False
+
+    def close(self) -> None:
+        """Write what is buffered."""
+        if not self._n_buffered:
+            return
+        begin = self._array.shape[0]
+        self._array.resize((begin + self._n_buffered, *self._array.shape[1:]))
+        self._array[begin:] = self._buffer[: self._n_buffered]
+        self._n_buffered = 0
+        _sync_chunk(self._array, begin // CHUNK_ROWS)
+
+
+def _sync_chunk(array: zarr.Array, i_chunk: int) -> None:
+    """Force a chunk and what leads to it to disk, before anything relies on it."""
+    folder = Path(str(array.store_path.store.root)) / array.path  # type: ignore[attr-defined]
+    chunk = folder / "c" / str(i_chunk)
+    for path in (*chunk.rglob("*"), chunk, folder / "c", folder / "zarr.json", folder):
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def read_frame(array: zarr.Array, i_frame: int, where: Path) -> np.ndarray:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bask_data.artifact import ArraySpec, Artifact, Metadata, write_group
-from bask_data.kinds.arrays import read_all, start, write_array
+from bask_data.kinds.arrays import RowWriter, read_all, spec_of, start
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,9 +20,6 @@ class KeypointsMetadata(Metadata):
 
     names: list[str]
     filter: str
-
-
-_PER_FRAME = ("mean", "covariance", "mode", "n_eff", "log_evidence")
 
 
 class KeypointTrack(Artifact):
@@ -93,22 +90,34 @@ class KeypointTrack(Artifact):
 
     @staticmethod
     @contextmanager
-    def writer(out: Path, *, names: list[str], filter: str, cameras: list[str]) -> Iterator[KeypointsWriter]:
-        """Append frame by frame."""
-        writer = KeypointsWriter(out, names, filter, cameras)
+    def writer(
+        out: Path, *, names: list[str], filter: str, cameras: list[str], n_kept: int = 0
+    ) -> Iterator[KeypointsWriter]:
+        """Append frame by frame.
+
+        Args:
+            n_kept: frames to go on after, of a track that was not finished; whole chunks.
+        """
+        writer = KeypointsWriter(out, names, filter, cameras, n_kept)
         yield writer
         writer.close()
 
 
 class KeypointsWriter:
-    """Collects a track. A frame of 16 keypoints takes about 1.2 kB: an hour at 30 Hz is 130 MB."""
+    """Streams a track to disk. A frame of 16 keypoints takes about 1.2 kB: an hour at 30 Hz is 130 MB."""
 
-    def __init__(self, out: Path, names: list[str], filter: str, cameras: list[str]) -> None:
-        self._out = out
-        self._group = start(out, KeypointTrack, {"names": names, "filter": filter})
-        self._per_frame: dict[str, list[np.ndarray]] = {name: [] for name in _PER_FRAME}
-        self._per_camera: dict[str, dict[str, list[np.ndarray]]] = {
-            camera: {"pixel": [], "observed": []} for camera in cameras
+    def __init__(self, out: Path, names: list[str], filter: str, cameras: list[str], n_kept: int) -> None:
+        group = start(out, KeypointTrack, {"names": names, "filter": filter})
+        for camera in cameras:
+            write_group(out / camera, {"bask": {"role": "camera"}})
+        self._cameras = cameras
+        each = [name for name in KeypointTrack.arrays if not name.startswith("{camera}/")]
+        of_camera = [
+            name.format(camera=camera) for camera in cameras for name in ("{camera}/pixel", "{camera}/observed")
+        ]
+        self._rows = {
+            name: RowWriter(group, KeypointTrack, name, _row_shape(name, len(names)), n_kept)
+            for name in (*each, *of_camera)
         }
 
     def append(
@@ -119,23 +128,25 @@ class KeypointsWriter:
         mode: np.ndarray,
         n_eff: np.ndarray,
         log_evidence: np.ndarray,
-        cameras: dict[str, tuple[np.ndarray, np.ndarray]],
-    ) -> None:
-        """Add a frame; shapes as the schema has them without t; per camera (pixel (k, 2), observed (k,))."""
-        values = (mean, covariance, mode, n_eff, log_evidence)
-        for name, value in zip(_PER_FRAME, values, strict=True):
-            self._per_frame[name].append(value)
-        for camera, (pixel, observed) in cameras.items():
-            self._per_camera[camera]["pixel"].append(pixel)
-            self._per_camera[camera]["observed"].append(observed)
+        cameras: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    ) -> bool:
+        """Add a frame; shapes as the schema has them without t; per camera (pixel (k, 2), observed (k,)).
+
+        Whether all frames so far are on disk: every so often, so that a kill loses little.
+        """
+        row = {"mean": mean, "covariance": covariance, "mode": mode, "n_eff": n_eff, "log_evidence": log_evidence}
+        for camera in self._cameras:
+            row[f"{camera}/pixel"], row[f"{camera}/observed"] = cameras[camera]
+        on_disk = [self._rows[name].append(value) for name, value in row.items()]
+        return all(on_disk)
 
     def close(self) -> None:
-        """Write everything."""
-        import numpy as np
+        """Write what is buffered."""
+        for rows in self._rows.values():
+            rows.close()
 
-        for name, values in self._per_frame.items():
-            write_array(self._group, KeypointTrack, name, np.asarray(values, dtype=np.float32))
-        for camera, arrays in self._per_camera.items():
-            write_group(self._out / camera, {"bask": {"role": "camera"}})
-            write_array(self._group, KeypointTrack, f"{camera}/pixel", np.asarray(arrays["pixel"], dtype=np.float32))
-            write_array(self._group, KeypointTrack, f"{camera}/observed", np.asarray(arrays["observed"], dtype=bool))
+
+def _row_shape(name: str, k: int) -> tuple[int, ...]:
+    """Shape of one frame of an array, by its schema."""
+    _, _, *rest = spec_of(KeypointTrack, name).dims
+    return (k, *map(int, rest))

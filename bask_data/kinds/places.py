@@ -22,9 +22,9 @@ HIDDEN = 0.02
 
 
 class Known(NamedTuple):
-    """A recording, and what is known of it."""
+    """What is known of a recording: frames and cameras, and where its objects are."""
 
-    recording: Recording
+    recording: Recording | None
     truth: Truth | None
 
 
@@ -54,6 +54,7 @@ def true_places(picks: Sequence[Pick], recordings: Mapping[str, Known], name: st
     import numpy as np
 
     here = recordings[name]
+    assert here.recording is not None, "where its frames are is for the caller to know"
     n_frames = max(camera.n_frames for camera in here.recording.cameras)
     places = np.full((n_frames, len(picks), 3), np.nan)
     if here.truth is not None:
@@ -127,17 +128,25 @@ def picked_point(pick: Pick, known: Known | None) -> np.ndarray | None:
     import numpy as np
 
     from bask_data.core import scores
-    from bask_data.core.geometry import transform, unproject
+    from bask_data.core.geometry import invert_rigid, transform, unproject
 
+    point = None if pick.point_world is None else np.array(pick.point_world, dtype=np.float64)
     truth = known.truth if known else None
-    if known is not None and truth is not None and truth.has_depth and pick.camera in truth.camera_names:
-        uv = np.array([[pick.u, pick.v]])
-        depth, labels = truth.depth(pick.camera, pick.frame), truth.instance(pick.camera, pick.frame)
-        z = scores.true_depth(depth, labels, uv)
-        if z[0] > 0:
-            world_from_camera = truth.world_from_cameras(pick.camera)[pick.frame]
-            return transform(world_from_camera, unproject(uv, z, known.recording.camera(pick.camera).K))[0]
-    return None if pick.point_world is None else np.array(pick.point_world, dtype=np.float64)
+    if known is None or truth is None or not truth.has_depth or pick.camera not in truth.camera_names:
+        return point
+    uv = np.array([[pick.u, pick.v]])
+    depth, labels = truth.depth(pick.camera, pick.frame), truth.instance(pick.camera, pick.frame)
+    z = scores.true_depth(depth, labels, uv)
+    if z[0] <= 0:
+        return point
+    world_from_camera = truth.world_from_cameras(pick.camera)[pick.frame]
+    if known.recording is not None:
+        return transform(world_from_camera, unproject(uv, z, known.recording.camera(pick.camera).K))[0]
+    if point is None:
+        return None
+    # Without the intrinsics, along the ray that the picked point is on.
+    camera = transform(invert_rigid(world_from_camera), point)
+    return transform(world_from_camera, camera * z[0] / camera[2])
 
 
 def label_of(truth: Truth, name: str, label: int) -> int:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import shutil
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
 
 from pydantic import Field
 
-from bask_data.errors import BadData
-from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints
+from bask_data.errors import BadData, UsageError
+from bask_data.kinds import Camera, Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Truth
+from bask_data.progress import tell
 from bask_data.stage import Params, progress, stage
 
 if TYPE_CHECKING:
@@ -17,18 +23,37 @@ if TYPE_CHECKING:
 
     from bask_data.core.bayes_filter import Settings
     from bask_data.core.heatmap import Motion
+    from bask_data.tracker import KeypointTracker, Look
 
-Distances = Callable[["np.ndarray"], "np.ndarray"]
-"""From a colour image (h, w, 3) uint8 to its distance maps (k, h', w') float32, of any resolution."""
+A = TypeVar("A")
+B = TypeVar("B")
+
+STATE = "state.safetensors"
+"""What an interrupted track goes on from; no part of the artifact."""
+
+AHEAD = 2
+"""Frames read and described ahead of the filter, by a thread each: enough for all to be busy, few enough for any size
+of image."""
 
 
 class EncodeParams(Params):
-    """The filter and its settings."""
+    """Where keypoints come from, the filter and its settings."""
 
+    source: Literal["network", "truth"] = Field(
+        "network",
+        description="network: found by descriptors. truth: where a simulator, or whoever labelled the recordings, "
+        "knows them to be; no filter is used.",
+    )
+    cameras: tuple[str, ...] = Field((), description="Cameras to use. Default: all of the demonstration.")
     filter: Literal["expectation", "discrete", "particle"] = Field(
         "particle",
         description="expectation: each frame by itself. discrete: belief over pixels. particle: belief over 3D points, "
         "which remembers what is hidden or out of view.",
+    )
+    settings: Literal["default", "paper", "code"] = Field(
+        "default",
+        description="Values of all of the filter's settings: our own, the paper's, or those of its authors' code. The "
+        "options below take precedence.",
     )
     alpha: float | None = Field(
         None,
@@ -43,44 +68,73 @@ class EncodeParams(Params):
         description="Likelihood of an image if the keypoint is hidden or out of view. "
         "Default: from each image, twice the likelihood of its average pixel.",
     )
-    n_particles: int = Field(2000, ge=10, description="Particles of each keypoint.")
-    walk: float = Field(0.002, ge=0, description="Particle: random walk in one frame and along each axis, metres.")
-    walk_px: float = Field(1.0, ge=0, description="Discrete: random walk in one frame, pixels of the distance map.")
-    gripper_probability: float = Field(
-        0.5, ge=0, le=1, description="Particle: probability that a particle near the gripper moves with it."
+    n_particles: int | None = Field(None, ge=10, description="Particles of each keypoint. Default: 2000.")
+    walk: float | None = Field(
+        None, ge=0, description="Particle: random walk in one frame and along each axis, metres. Default: 0.002."
     )
-    gripper_reach: float = Field(
-        0.15, ge=0, description="Particle: metres around the gripper within which particles may move with it."
+    walk_px: float | None = Field(
+        None, ge=0, description="Discrete: random walk in one frame, pixels of the distance map. Default: 1."
     )
-    seed: int = Field(0, ge=0, description="Seed of the particle filter.")
+    cell: int | None = Field(
+        None, ge=1, description="Discrete: edge of a cell of the belief, pixels of the distance map. Default: 1."
+    )
+    gripper_probability: float | None = Field(
+        None,
+        ge=0,
+        le=1,
+        description="Particle: probability that a particle near the gripper moves with it. Default: 0.5.",
+    )
+    gripper_reach: float | None = Field(
+        None,
+        ge=0,
+        description="Particle: metres around the gripper within which particles may move with it. Default: 0.15.",
+    )
+    dropout: float = Field(
+        0.0,
+        ge=0,
+        lt=1,
+        description="Probability that a camera's frame is not looked at, to see how well keypoints survive without.",
+    )
+    seed: int = Field(0, ge=0, description="Seed of the particle filter, and of the dropout.")
+
+    def reads(self, kind: str) -> tuple[str, ...] | None:
+        """Truth only where it is asked for."""
+        return () if kind == Truth.kind and self.source == "network" else None
 
 
-@stage(makes=KeypointTrack, version=1)
+@stage(makes=KeypointTrack, version=2, resumable=True)
 def encode(
     demonstration: Demonstration,
     descriptor: DescriptorNet,
     reference: ReferenceKeypoints,
+    truths: list[Truth],
     params: EncodeParams,
     out: Path,
 ) -> None:
     """Track the reference keypoints through a demonstration, in 3D.
 
-    One frame is in memory at a time. All cameras of the demonstration are used; their frames belong together by number.
+    All cameras of the demonstration are used; their frames belong together by number. A few frames are in memory at a
+    time, and an interrupted track goes on where it was.
     """
-    track(demonstration, describer(descriptor, reference), reference.names, params, out)
+    cameras = cameras_of(demonstration, params.cameras)
+    if params.source == "truth":
+        _write_truth(demonstration, cameras, reference, {truth.path.name: truth for truth in truths}, out)
+    else:
+        _track(demonstration, cameras, descriptor, reference, params, out)
 
 
-def track(
-    demonstration: Demonstration, distances: Distances, names: list[str], params: EncodeParams, out: Path
-) -> None:
-    """Filter every frame of a demonstration and write the track."""
-    import numpy as np
+def cameras_of(demonstration: Demonstration, wanted: tuple[str, ...] = ()) -> list[Camera]:
+    """The cameras by name, all or those wanted, which must have frames that belong together.
 
-    from bask_data.core.bayes_filter import step
-    from bask_data.core.geometry import scale_pixels
-    from bask_data.core.heatmap import Observation, fitted
-
-    cameras = demonstration.cameras
+    Raises:
+        UsageError: there is no such camera.
+        BadData: they have different numbers of frames.
+    """
+    known = demonstration.camera_names
+    for name in wanted:
+        if name not in known:
+            raise UsageError(demonstration.path, "cameras", expected=f"some of {', '.join(known)}", got=name)
+    cameras = [demonstration.camera(name) for name in known if not wanted or name in wanted]
     n_frames = cameras[0].n_frames
     for camera in cameras:
         if camera.n_frames != n_frames:
@@ -91,87 +145,180 @@ def track(
                 got=f"{camera.n_frames}",
                 fix="ingest the cameras with frames that were taken together.",
             )
-    settings, rng, belief = settings_of(params), np.random.default_rng(params.seed), None
-    motions = gripper_motions(demonstration, n_frames)
-    with KeypointTrack.writer(
-        out, names=names, filter=params.filter, cameras=[camera.name for camera in cameras]
-    ) as writer:
-        for i_frame in progress(range(n_frames), "tracking keypoints"):
-            observations = [
-                fitted(
-                    Observation(
-                        distance=distances(camera.rgb(i_frame)),
-                        depth=camera.depth(i_frame),
-                        K=camera.K,
-                        world_from_camera=camera.world_from_cameras[i_frame],
-                    )
-                )
-                for camera in cameras
-            ]
-            belief, estimate = step(belief, observations, motions[i_frame], rng, settings)
-            writer.append(
-                mean=estimate.mean,
-                covariance=estimate.covariance,
-                mode=estimate.mode,
-                n_eff=estimate.n_eff,
-                log_evidence=estimate.log_evidence,
-                cameras={
-                    camera.name: (
-                        scale_pixels(estimate.pixel[i], seen.depth.shape, (camera.height, camera.width)),
-                        estimate.observed[i],
-                    )
-                    for i, (camera, seen) in enumerate(zip(cameras, observations, strict=True))
-                },
-            )
+    return cameras
 
 
 def settings_of(params: EncodeParams) -> Settings:
-    """The settings of the chosen filter."""
-    from bask_data.core.bayes_filter import DiscreteSettings, ExpectationSettings, ParticleSettings
+    """The settings of the chosen filter; those of the others do not matter."""
+    from bask_data.core.bayes_filter import settings_named
 
-    if params.filter == "expectation":
-        return ExpectationSettings(alpha=params.alpha or 20.0)
-    if params.filter == "discrete":
-        return DiscreteSettings(alpha=params.alpha or 4.0, tau=params.tau, walk_px=params.walk_px)
-    return ParticleSettings(
-        n_particles=params.n_particles,
-        alpha=params.alpha or 4.0,
-        tau=params.tau,
-        walk=params.walk,
-        gripper_probability=params.gripper_probability,
-        gripper_reach=params.gripper_reach,
-    )
+    names = asdict(settings_named(params.filter, params.settings))
+    chosen = {name: value for name, value in params.model_dump().items() if name in names}
+    return settings_named(params.filter, params.settings, **chosen)
+
+
+def grippers_of(demonstration: Demonstration, n_frames: int) -> np.ndarray | None:
+    """World from gripper (t, 4, 4) in each frame; None without a record of it.
+
+    Raises:
+        BadData: there is not one for each frame.
+    """
+    robot = demonstration.robot
+    if robot is None or robot.world_from_gripper is None:
+        return None
+    if len(robot.world_from_gripper) != n_frames:
+        raise BadData(
+            demonstration.path,
+            "robot/world_from_gripper",
+            expected=f"one transform for each of the {n_frames} frames",
+            got=f"{len(robot.world_from_gripper)}",
+            fix="ingest the demonstration again.",
+        )
+    return robot.world_from_gripper
 
 
 def gripper_motions(demonstration: Demonstration, n_frames: int) -> list[Motion | None]:
     """The gripper's motion before each frame; None before the first, and without a record of it."""
     from bask_data.core.heatmap import Motion
 
-    robot = demonstration.robot
-    if robot is None or robot.world_from_gripper is None:
+    grippers = grippers_of(demonstration, n_frames)
+    if grippers is None:
         return [None] * n_frames
-    grippers = robot.world_from_gripper
-    if len(grippers) != n_frames:
-        raise BadData(
-            demonstration.path,
-            "robot/world_from_gripper",
-            expected=f"one transform for each of the {n_frames} frames",
-            got=f"{len(grippers)}",
-            fix="ingest the demonstration again.",
-        )
     return [None, *(Motion(grippers[i - 1], grippers[i]) for i in range(1, n_frames))]
 
 
-def describer(descriptor: DescriptorNet, reference: ReferenceKeypoints) -> Distances:
-    """The network and the references as one function from images to distance maps."""
-    network, references = descriptor.network(), reference.descriptors
-    dimension = network.settings.descriptor_dim
-    if references.shape[1] != dimension:
-        raise BadData(
-            reference.path,
-            "descriptors",
-            expected=f"{dimension} values each, as the network gives",
-            got=f"{references.shape[1]}",
-            fix="run `bask-data reference` again with this network.",
+def dropped(n_frames: int, n_cameras: int, dropout: float, seed: int) -> np.ndarray:
+    """Which frames of which cameras are not looked at (t, c) bool."""
+    import numpy as np
+
+    return np.random.default_rng((seed, 1)).random((n_frames, n_cameras)) < dropout
+
+
+# By the network -------------------------------------------------------------------------------------------------------
+
+
+def _track(
+    demonstration: Demonstration,
+    cameras: list[Camera],
+    descriptor: DescriptorNet,
+    reference: ReferenceKeypoints,
+    params: EncodeParams,
+    out: Path,
+) -> None:
+    """Filter every frame and write the track."""
+    from bask_data.tracker import KeypointTracker
+
+    names, n_frames = [camera.name for camera in cameras], cameras[0].n_frames
+    grippers = grippers_of(demonstration, n_frames)
+    tracker = KeypointTracker(descriptor, reference, settings_of(params), params.seed, cameras=names)
+    begin = _resumed(tracker, out)
+    shown = ~dropped(n_frames, len(cameras), params.dropout, params.seed)
+    looks = progress(_looks(tracker, cameras, shown, begin), "tracking keypoints", n_frames - begin)
+    begun = time.monotonic()
+    with KeypointTrack.writer(out, names=reference.names, filter=params.filter, cameras=names, n_kept=begin) as writer:
+        for i_frame, look in enumerate(looks, start=begin):
+            found = tracker.update(look, None if grippers is None else grippers[i_frame])
+            is_on_disk = writer.append(
+                mean=found.mean,
+                covariance=found.covariance,
+                mode=found.mode,
+                n_eff=found.n_eff,
+                log_evidence=found.log_evidence,
+                cameras={name: (found.pixel[name], found.observed[name]) for name in names},
+            )
+            if is_on_disk:
+                tracker.save(out / STATE)
+    (out / STATE).unlink(missing_ok=True)
+    n_done, seconds = n_frames - begin, time.monotonic() - begun
+    tell(f"{n_done} frames of {len(cameras)} cameras in {seconds:.1f} s, {n_done / max(seconds, 1e-9):.1f} a second")
+
+
+def _resumed(tracker: KeypointTracker, out: Path) -> int:
+    """Frames that an interrupted attempt has tracked; whatever else it left goes."""
+    if (out / STATE).exists():
+        tracker.load(out / STATE)
+        for part in (*out.glob("*.part"), *out.rglob("*.partial")):
+            part.unlink()
+    else:
+        for left in out.iterdir():
+            shutil.rmtree(left) if left.is_dir() else left.unlink()
+    return tracker.n_steps
+
+
+class _Frames(NamedTuple):
+    """What the cameras that are looked at have recorded of one moment, by their names."""
+
+    images: dict[str, np.ndarray]
+    depths: dict[str, np.ndarray]
+    intrinsics: dict[str, np.ndarray]
+    world_from_cameras: dict[str, np.ndarray]
+
+
+def _looks(tracker: KeypointTracker, cameras: list[Camera], shown: np.ndarray, begin: int) -> Iterator[Look]:
+    """What each frame says, from `begin` on: one thread reads, one describes, while the caller filters."""
+
+    def read(i_frame: int) -> _Frames:
+        used = [camera for camera, is_shown in zip(cameras, shown[i_frame], strict=True) if is_shown]
+        return _Frames(
+            images={camera.name: camera.rgb(i_frame) for camera in used},
+            depths={camera.name: camera.depth(i_frame) for camera in used},
+            intrinsics={camera.name: camera.K for camera in used},
+            world_from_cameras={camera.name: camera.world_from_cameras[i_frame] for camera in used},
         )
-    return lambda rgb: network.distance_maps(rgb, references)
+
+    return _ahead(lambda frames: tracker.look(*frames), _ahead(read, range(begin, len(shown))))
+
+
+def _ahead(function: Callable[[A], B], items: Iterable[A]) -> Iterator[B]:
+    """What a function gives for each item, in order, computed a few items ahead by a thread of its own."""
+    waiting: deque[Future[B]] = deque()
+    with ThreadPoolExecutor(1) as pool:
+        try:
+            for item in items:
+                waiting.append(pool.submit(function, item))
+                if len(waiting) > AHEAD:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+# By truth -------------------------------------------------------------------------------------------------------------
+
+
+def _write_truth(
+    demonstration: Demonstration,
+    cameras: list[Camera],
+    reference: ReferenceKeypoints,
+    truths: Mapping[str, Truth],
+    out: Path,
+) -> None:
+    """Write where the keypoints truly are."""
+    import numpy as np
+
+    from bask_data.kinds.places import Known, true_pixels, true_places
+
+    name = demonstration.path.name
+    if name not in truths:
+        fix = "--source network, or --only demonstrations with truth."
+        raise BadData(demonstration.path, "truth", expected="objects' transforms", got="none", fix=fix)
+    recordings = {one: Known(None, truth) for one, truth in truths.items()}
+    places = true_places(reference.picks, {**recordings, name: Known(demonstration, truths[name])}, name)
+    if np.isnan(places).all():
+        expected = f"a keypoint on an object whose transform is known in {name}"
+        raise BadData(reference.path, "picks", expected=expected, got="none", fix="see `bask-data reference --help`.")
+    names, k = [camera.name for camera in cameras], places.shape[1]
+    with KeypointTrack.writer(out, names=reference.names, filter="truth", cameras=names) as writer:
+        for i_frame in progress(range(cameras[0].n_frames), "writing keypoints"):
+            points = places[i_frame]
+            seen = {camera.name: true_pixels(points, camera, truths[name], i_frame) for camera in cameras}
+            known = np.isfinite(points).all(axis=1)
+            writer.append(
+                mean=points,
+                covariance=np.where(known[:, None, None], 0.0, np.full((k, 3, 3), np.nan)),
+                mode=points,
+                n_eff=known.astype(np.float64),
+                log_evidence=np.zeros(k),
+                cameras={one: (found.uv, found.inside & ~found.hidden) for one, found in seen.items()},
+            )
