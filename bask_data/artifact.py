@@ -148,12 +148,16 @@ class Artifact:
         return []
 
     def check_complete(self) -> None:
-        """Refuse an artifact that has lost a file: a chunk that is missing would read as zeros.
+        """Refuse an artifact of another version, or one that has lost a file: a missing chunk would read as zeros.
 
         Raises:
-            BadData: a file that the manifest names is not there.
+            BadData: the manifest is damaged, of another kind or version, or names a file that is not there.
         """
-        for name in self.manifest.files:
+        manifest = self.manifest
+        if (manifest.kind, manifest.schema_version) != (self.kind, self.schema_version):
+            expected, got = f"{self.kind} v{self.schema_version}", f"{manifest.kind} v{manifest.schema_version}"
+            raise BadData(self.path, "schema", expected=expected, got=got, fix="make it again: `bask-data run`.")
+        for name in manifest.files:
             if not (self.path / name).exists():
                 raise BadData(
                     self.path, name, expected="the file", got="none", fix="restore it, or make the artifact again."
@@ -218,9 +222,14 @@ def read_json(file: Path) -> Any:
 
 def write_json_atomically(file: Path, value: object) -> None:
     """Replace a JSON file in one step: readers see the old one or the new one."""
+    write_text_atomically(file, json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def write_text_atomically(file: Path, text: str) -> None:
+    """Replace a text file in one step: readers see the old one or the new one."""
     file.parent.mkdir(parents=True, exist_ok=True)
     temporary = file.with_name(f".{file.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
-    temporary.write_text(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    temporary.write_text(text, encoding="utf-8")
     _sync(temporary)
     os.replace(temporary, file)
     _sync(file.parent)

@@ -17,7 +17,7 @@ from bask_data.evaluation.frames import Frame, Frames
 from bask_data.evaluation.held_out import HeldOut, held_out
 from bask_data.evaluation.matches import BINS, alike_pairs, candidate_pairs, spread_pairs
 from bask_data.evaluation.sweep import about, moved, moved_pixels
-from bask_data.kinds import Correspondences, PairRow
+from bask_data.kinds import Correspondences, DescriptorNet, PairRow
 from tests.datasets import publish_artifact
 from tests.described import (
     HALF,
@@ -382,6 +382,20 @@ def test_what_is_missing_is_told(tmp_path: Path) -> None:
 def test_a_network_that_does_not_load_is_told(shared: Dataset) -> None:
     with pytest.raises(BadData, match="descriptor/main: expected a network that loads, got .*train it again"):
         LOADED(shared, "main")
+
+
+def test_a_network_of_an_older_version_or_with_a_damaged_manifest_is_told(tmp_path: Path) -> None:
+    dataset = described_dataset(tmp_path / "d", {"a": boxes(0)})
+    manifest = dataset.path(DescriptorNet) / "artifact.json"
+    now = DescriptorNet.schema_version
+    older = json.loads(manifest.read_text()) | {"schema_version": now - 1}
+    manifest.write_text(json.dumps(older))
+    expected = rf"schema: expected descriptor v{now}, got descriptor v{now - 1}.  fix: make it again: `bask-data run`"
+    with pytest.raises(BadData, match=expected):
+        held_out(dataset, ["main"])
+    manifest.write_text("{")
+    with pytest.raises(BadData, match="artifact.json: expected a JSON document"):
+        held_out(dataset, ["main"])
 
 
 def test_a_dataset_without_a_scene_to_measure_on_is_told(tmp_path: Path) -> None:

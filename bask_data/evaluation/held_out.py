@@ -39,7 +39,7 @@ def held_out(dataset: Dataset, variants: Sequence[str], scenes: Sequence[str] = 
     Raises:
         UsageError: a scene or a variant is asked for that is not there, or no scene can be measured.
     """
-    _check_variants(dataset, variants)
+    check_variants(dataset, variants)
     splits, known = dataset.file.splits, dataset.items("scene")
     for name in scenes:
         if name not in known:
@@ -84,7 +84,8 @@ def learned_scenes(dataset: Dataset) -> list[str]:
     return list(splits.train) or [name for name in dataset.items("scene") if name not in aside]
 
 
-def _check_variants(dataset: Dataset, variants: Sequence[str]) -> None:
+def check_variants(dataset: Dataset, variants: Sequence[str]) -> None:
+    """Refuse networks that are not there, or are damaged or of another version."""
     known = [
         name
         for name in dataset.variants(DescriptorNet)
@@ -99,6 +100,7 @@ def _check_variants(dataset: Dataset, variants: Sequence[str]) -> None:
                 got=name or "none",
                 fix=f"bask-data train {shlex.quote(str(dataset.root))} --variant {shlex.quote(name or 'main')}",
             )
+        DescriptorNet(dataset.path(DescriptorNet, variant=name)).check_complete()
 
 
 def _there(dataset: Dataset, wanted: HeldOut) -> HeldOut:
