@@ -790,6 +790,74 @@ def evaluate_descriptor(
         print(json.dumps({"command": "evaluate descriptor", **found}, indent=2))
 
 
+@evaluate_app.command("keypoints")
+@_reporting
+def evaluate_keypoints(
+    root: Root,
+    variant: Annotated[
+        str,
+        typer.Option(
+            help="Networks to track with, by commas: all filters with the first, single frames with the others.",
+            metavar="NAMES",
+        ),
+    ] = "main",
+    demonstrations: Annotated[
+        str, typer.Option(help="Demonstrations to track in. [default: all with truth]", metavar="NAMES")
+    ] = "",
+    objects: Annotated[
+        str, typer.Option(help="Objects to put keypoints on. [default: all of a demonstration]", metavar="NAMES")
+    ] = "",
+    cameras: Annotated[
+        str, typer.Option(help="Cameras to track with, `wrist` in the paper. [default: all]", metavar="NAMES")
+    ] = "",
+    reference: Annotated[
+        str,
+        typer.Option(help="Reference keypoints to track. [default: points spread over the objects]", metavar="VARIANT"),
+    ] = "",
+    keypoints: Annotated[int, typer.Option(min=1, help="Number of points, shared among the objects.")] = 16,
+    settings: Annotated[
+        Literal["default", "paper", "code"],
+        typer.Option(help="Settings of the filters: our own, the paper's, or its authors' code's."),
+    ] = "default",
+    pictures: Annotated[
+        Path | None, typer.Option(help="Draw the figures into this folder, as PNG.", metavar="DIR")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the points and of the particle filter.")] = 0,
+    json_: Json = False,
+) -> None:
+    """How right tracked keypoints are, over time and by what the cameras see of them.
+
+    Single frames, discrete and particle filter, on demonstrations whose truth knows where the objects are. The dataset
+    keeps the result in evaluation/keypoints.json, for its report.
+    """
+    from bask_data.evaluation import evaluated_keypoints
+    from bask_data.evaluation.keypoint_study import save_study
+    from bask_data.evaluation.tables import keypoint_tables
+    from bask_data.report.study import write_pictures
+
+    dataset = Dataset(root)
+    with shown_progress():
+        found = evaluated_keypoints(
+            dataset,
+            _names(variant),
+            demonstrations=_names(demonstrations),
+            objects=_names(objects),
+            cameras=_names(cameras),
+            reference=reference,
+            n_keypoints=keypoints,
+            settings=settings,
+            seed=seed,
+        )
+    made = [save_study(dataset, found), *(write_pictures(dataset, found, pictures) if pictures else [])]
+    for line in keypoint_tables(found):
+        say(line)
+    for file in made:
+        say(f"made {file}")
+    if json_:
+        print(json.dumps({"command": "evaluate keypoints", "files": [str(file) for file in made], **found}, indent=2))
+    say(f"next: bask-data report {_quoted(root)}")
+
+
 def _named_datasets(given: Sequence[str]) -> dict[str, Dataset]:
     """Of NAME=ROOT."""
     found = {}

@@ -7,6 +7,14 @@ from __future__ import annotations
 
 from bask_data.evaluation.correspondences import evaluated_correspondences
 from bask_data.evaluation.descriptor import evaluated_descriptor
+from bask_data.evaluation.keypoint_study import evaluated_keypoints
 from bask_data.evaluation.masks import count_masks, evaluated_masks, label_groups
 
-__all__ = ["count_masks", "evaluated_correspondences", "evaluated_descriptor", "evaluated_masks", "label_groups"]
+__all__ = [
+    "count_masks",
+    "evaluated_correspondences",
+    "evaluated_descriptor",
+    "evaluated_keypoints",
+    "evaluated_masks",
+    "label_groups",
+]

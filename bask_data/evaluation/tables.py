@@ -1,4 +1,4 @@
-"""What `evaluate descriptor` shows a person: variants side by side."""
+"""What `evaluate descriptor` and `evaluate keypoints` show a person: variants and methods side by side."""
 
 from __future__ import annotations
 
@@ -62,6 +62,29 @@ def _table(rows: dict[str, dict[str, dict[str, float | None]]]) -> Iterator[str]
         for place, (name, figures) in enumerate(variants.items()):
             values = "".join(f"{_written(figures[key], factor, form):>9}" for key, (_, factor, form) in COLUMNS.items())
             yield f"  {row if place == 0 else '':<20} {name:<11}" + values
+
+
+def keypoint_tables(found: dict[str, Any]) -> Iterator[str]:
+    """Lines: for each set of objects a row a method, with its errors by what the cameras see.
+
+    Args:
+        found: of `evaluated_keypoints`.
+    """
+    for name, group in found["groups"].items():
+        demonstrations = group["demonstrations"]
+        n_frames = sum(one["n_frames"] for one in demonstrations.values())
+        yield f"{name}: {len(group['keypoints'])} keypoints in {len(demonstrations)} demonstrations, {n_frames} frames"
+        methods = group["methods"]
+        phases = list(next(iter(methods.values()))["error"])
+        yield (
+            "  mean distance to the truth, mm" + " " * 8 + "".join(f"{phase:>13}" for phase in phases) + f"{'apart':>8}"
+        )
+        for method, told in methods.items():
+            cells = "".join(f"{_written(told['error'][phase]['mean'], 1000, '.0f'):>13}" for phase in phases)
+            yield f"    {method:<34}" + cells + f"{_written(told['apart']['all']['mean'], 1000, '.0f'):>8}"
+        counted = next(iter(methods.values()))["error"]
+        yield f"    {'frames x keypoints':<34}" + "".join(f"{counted[phase]['n']:>13}" for phase in phases)
+    yield "apart: mean distance between mean and mode of what is believed, mm; large where there are several places"
 
 
 def _written(value: float | None, factor: float, form: str) -> str:

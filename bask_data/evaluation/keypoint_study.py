@@ -1,0 +1,501 @@
+"""How right keypoints are that networks and filters track through demonstrations whose truth is known.
+
+The study of von Hartz et al. 2023, Sec. IV-A: distance of each keypoint to where it truly is, and between mean and
+mode of what is believed of it, over time, by what the cameras see, for networks beside each other and with the belief
+of single frames, of the discrete and of the particle filter.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bask_data.dataset import Dataset
+from bask_data.errors import BadData, UsageError
+from bask_data.evaluation.held_out import check_variants
+from bask_data.evaluation.places import known, known_of
+from bask_data.evaluation.tracked_points import by_objects, demonstrations_with_truth, points_to_track, true_tracks
+from bask_data.kinds import Camera, Demonstration, DescriptorNet, Pick, Truth
+from bask_data.kinds.places import points_on_objects, true_pixels
+from bask_data.progress import progress
+from bask_data.stages.encode import gripper_motions
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from bask_data.core.bayes_filter import Belief, Estimate, Named, Settings
+    from bask_data.core.heatmap import Observation
+    from bask_data.core.keypoint_scores import Sighting
+    from bask_data.nn.network import DescriptorNetwork
+
+N_MOMENTS = 101
+"""Moments of the normalised time axis."""
+HISTOGRAM_EVERY = 5
+"""One of so many frames is counted in the histograms of distances: neighbours tell the same."""
+NEAR = 0.02
+"""Share of the image's diagonal within which a pixel shows a keypoint's surroundings."""
+N_EXAMPLE_FRAMES = 6
+MAP_SIZE = 64
+"""Pixels of an example's distance map."""
+FILE = Path("evaluation") / "keypoints.json"
+"""Where a dataset keeps the last study, for its report."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to track: whose network, and which belief."""
+
+    variant: str
+    belief: str
+    settings: Settings
+
+    @property
+    def name(self) -> str:
+        return f"{self.variant}: {self.belief}"
+
+
+def methods_of(variants: Sequence[str], settings: Named) -> list[Method]:
+    """What is compared: all beliefs with the first network, that of single frames with the others.
+
+    Args:
+        settings: preset of all filters.
+    """
+    from bask_data.core.bayes_filter import settings_named
+
+    first, *others = variants
+    single = settings_named("expectation", settings)
+    return [
+        *(Method(variant, "expectation", single) for variant in reversed(others)),
+        Method(first, "expectation, no temperature", settings_named("expectation", settings, alpha=1.0)),
+        Method(first, "expectation", single),
+        Method(first, "discrete", settings_named("discrete", settings)),
+        Method(first, "particle", settings_named("particle", settings)),
+    ]
+
+
+@dataclass
+class Tracked:
+    """A demonstration tracked in all ways.
+
+    Attributes:
+        places: (t, k, 3), metres, world: where the points truly are; NaN where that is not known.
+        uv: (c, t, k, 2) pixels of these; NaN behind the camera.
+        mean, mode: by method (t, k, 3), metres, world.
+        pixel: by method (t, c, k, 2) of the mean.
+        counts: by variant and group of pixels, their histogram of descriptor distances.
+        first_maps: by variant, the first camera's distance maps of the first frame (k, h, w), coarse.
+    """
+
+    name: str
+    cameras: list[str]
+    places: np.ndarray
+    seen: Sighting
+    uv: np.ndarray
+    mean: dict[str, np.ndarray] = field(default_factory=dict)
+    mode: dict[str, np.ndarray] = field(default_factory=dict)
+    pixel: dict[str, np.ndarray] = field(default_factory=dict)
+    counts: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
+    first_maps: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+def evaluated_keypoints(
+    dataset: Dataset,
+    variants: Sequence[str] = ("main",),
+    *,
+    demonstrations: Sequence[str] = (),
+    objects: Sequence[str] = (),
+    cameras: Sequence[str] = (),
+    reference: str = "",
+    n_keypoints: int = 16,
+    settings: Named = "default",
+    seed: int = 0,
+) -> dict[str, Any]:
+    """The study's figures as plain JSON values: of each set of objects, of each method.
+
+    Args:
+        variants: descriptor networks. All beliefs are studied with the first, that of single frames with the others.
+        demonstrations: by default all whose truth knows where the objects are.
+        objects: to put keypoints on; by default all of each demonstration.
+        cameras: to track with; by default all of each demonstration.
+        reference: variant of the reference keypoints to track; by default points spread over the objects in a scan that
+            networks learn from.
+        settings: preset of the filters.
+        seed: of the points, and of the particle filter.
+
+    Raises:
+        UsageError: something asked for is not there, or there is no truth to hold tracks against.
+        BadData: an artifact does not load, or its parts do not belong together.
+    """
+    check_variants(dataset, variants)
+    networks = {name: DescriptorNet(dataset.path(DescriptorNet, variant=name)).network() for name in variants}
+    methods = methods_of(variants, settings)
+    groups = by_objects(dataset, demonstrations_with_truth(dataset, demonstrations), objects)
+    found: dict[str, Any] = {}
+    for tracked_objects, names in groups.items():
+        picks = points_to_track(dataset, tracked_objects, n_keypoints, reference, seed)
+        references = {name: _references(dataset, network, picks) for name, network in networks.items()}
+        tracks = [_tracked(dataset, name, cameras, picks, networks, references, methods, seed) for name in names]
+        on = points_on_objects(picks, known_of(dataset, picks)).names
+        found["+".join(tracked_objects)] = _told(picks, on, tracks, methods)
+    return {
+        "settings": settings,
+        "seed": seed,
+        "methods": [
+            {"name": one.name, "variant": one.variant, "belief": one.belief, "settings": asdict(one.settings)}
+            for one in methods
+        ],
+        "margins": {name: _margins(dataset, name, network) for name, network in networks.items()},
+        "measured_with": _digests(dataset, variants, [name for names in groups.values() for name in names]),
+        "groups": found,
+    }
+
+
+def save_study(dataset: Dataset, found: Mapping[str, Any]) -> Path:
+    """Keep a study where the dataset's report finds it; what was there is replaced in one step."""
+    import json
+
+    path = dataset.root / FILE
+    path.parent.mkdir(exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.unfinished")
+    try:
+        unfinished.write_text(json.dumps(found, allow_nan=False) + "\n", encoding="utf-8")
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return path
+
+
+def is_current(dataset: Dataset, found: Mapping[str, Any]) -> bool:
+    """Whether what a study was made with is still what the dataset holds."""
+    measured_with: Mapping[str, str] = found["measured_with"]
+    return all(_digest(dataset.root / path) == digest for path, digest in measured_with.items())
+
+
+def _margins(dataset: Dataset, variant: str, network: DescriptorNetwork) -> dict[str, float] | None:
+    """Descriptor distances that training pushed non-matches beyond, as filters measure them; None without any."""
+    params = DescriptorNet(dataset.path(DescriptorNet, variant=variant)).manifest.params
+    if params.get("loss") != "contrastive":
+        return None
+    unit = 1.0 if params.get("normalised", True) else network.settings.descriptor_dim**-0.5
+    return {name: unit * float(params[f"margin_{name}"]) for name in ("foreground", "background")}
+
+
+def _digests(dataset: Dataset, variants: Sequence[str], demonstrations: Sequence[str]) -> dict[str, str]:
+    paths = [
+        *(dataset.path(DescriptorNet, variant=name) for name in variants),
+        *(dataset.path(kind, name) for name in demonstrations for kind in (Demonstration, Truth)),
+    ]
+    return {path.relative_to(dataset.root).as_posix(): _digest(path) for path in paths}
+
+
+def _digest(path: Path) -> str:
+    from bask_data.artifact import MANIFEST, Artifact
+
+    return Artifact(path).manifest.digest if (path / MANIFEST).exists() else ""
+
+
+# Tracking ------------------------------------------------------------------------------------------------------------
+
+
+def _references(dataset: Dataset, network: DescriptorNetwork, picks: Sequence[Pick]) -> np.ndarray:
+    """Descriptors (k, d) of the points where they were picked."""
+    import numpy as np
+
+    recordings, found = known_of(dataset, picks), []
+    for pick in picks:
+        image = recordings[pick.recording].recording.camera(pick.camera).rgb(pick.frame)
+        uv = np.array([[pick.u, pick.v]], dtype=np.float32)
+        found.append(network.descriptors_at(image, uv)[0].cpu().numpy())
+    return np.stack(found)
+
+
+def _tracked(
+    dataset: Dataset,
+    name: str,
+    asked: Sequence[str],
+    picks: Sequence[Pick],
+    networks: Mapping[str, DescriptorNetwork],
+    references: Mapping[str, np.ndarray],
+    methods: Sequence[Method],
+    seed: int,
+) -> Tracked:
+    """One pass over a demonstration's frames, each described once by each network."""
+    import numpy as np
+
+    one = known(dataset, name)
+    assert one is not None and one.truth is not None, "asked only where there is truth"
+    demonstration = one.recording
+    assert isinstance(demonstration, Demonstration), "asked only of demonstrations"
+    cameras = _cameras(demonstration, asked)
+    tracked = _with_truth(dataset, name, cameras, picks, one.truth)
+    runs = {method.name: _Run(method, seed) for method in methods}
+    motions = gripper_motions(demonstration, len(tracked.places))
+    for i_frame in progress(range(len(tracked.places)), f"tracking in {name}"):
+        images = [(camera.rgb(i_frame), camera.depth(i_frame)) for camera in cameras]
+        for variant, network in networks.items():
+            observations = [
+                _observation(network, references[variant], camera, *image, i_frame)
+                for camera, image in zip(cameras, images, strict=True)
+            ]
+            if i_frame == 0:
+                tracked.first_maps[variant] = _coarse(observations[0].distance)
+            if i_frame % HISTOGRAM_EVERY == 0:
+                _count(tracked, variant, one.truth, picks, observations, i_frame)
+            for run in runs.values():
+                if run.method.variant == variant:
+                    run.step(observations, motions[i_frame])
+    for method, run in runs.items():
+        tracked.mean[method] = np.stack([estimate.mean for estimate in run.estimates])
+        tracked.mode[method] = np.stack([estimate.mode for estimate in run.estimates])
+        tracked.pixel[method] = np.stack([_pixels(run.shapes, cameras, estimate) for estimate in run.estimates])
+    return tracked
+
+
+class _Run:
+    """One method on its way through a demonstration."""
+
+    def __init__(self, method: Method, seed: int) -> None:
+        import numpy as np
+
+        self.method, self.estimates = method, list[Any]()
+        self.shapes: list[tuple[int, int]] = []
+        self._belief: Belief | None = None
+        self._rng = np.random.default_rng(seed)
+
+    def step(self, observations: Sequence[Observation], motion: Any) -> None:
+        from bask_data.core.bayes_filter import step
+
+        self._belief, estimate = step(self._belief, observations, motion, self._rng, self.method.settings)
+        self.shapes = [seen.depth.shape for seen in observations]
+        self.estimates.append(estimate)
+
+
+def _cameras(demonstration: Demonstration, asked: Sequence[str]) -> list[Camera]:
+    for name in asked:
+        if name not in demonstration.camera_names:
+            there = ", ".join(demonstration.camera_names)
+            raise UsageError(demonstration.path, "--cameras", expected=f"of {there}", got=name)
+    cameras = [demonstration.camera(name) for name in asked or demonstration.camera_names]
+    if len({camera.n_frames for camera in cameras}) > 1:
+        n_frames = ", ".join(f"{camera.n_frames} of {camera.name}" for camera in cameras)
+        raise BadData(demonstration.path, "cameras", expected="as many frames of each camera", got=n_frames)
+    return cameras
+
+
+def _with_truth(dataset: Dataset, name: str, cameras: Sequence[Camera], picks: Sequence[Pick], truth: Truth) -> Tracked:
+    """A demonstration that nothing is tracked in yet, and what its cameras see of the points."""
+    import numpy as np
+
+    from bask_data.core.keypoint_scores import sighting
+
+    places = true_tracks(dataset, picks, name)
+    found = [
+        [true_pixels(point, camera, truth, i) for i, point in enumerate(places[: camera.n_frames])]
+        for camera in cameras
+    ]
+    inside, hidden = (
+        np.array([[getattr(frame, what) for frame in frames] for frames in found]) for what in ("inside", "hidden")
+    )
+    uv = np.array([[frame.uv for frame in frames] for frames in found])
+    return Tracked(name, [camera.name for camera in cameras], places, sighting(inside, hidden, places), uv)
+
+
+def _observation(
+    network: DescriptorNetwork,
+    references: np.ndarray,
+    camera: Camera,
+    rgb: np.ndarray,
+    depth: np.ndarray,
+    i_frame: int,
+) -> Observation:
+    from bask_data.core.heatmap import Observation, fitted
+
+    distance = network.distance_maps(rgb, references)
+    return fitted(Observation(distance, depth, camera.K, camera.world_from_cameras[i_frame]))
+
+
+def _pixels(shapes: Sequence[tuple[int, int]], cameras: Sequence[Camera], estimate: Estimate) -> np.ndarray:
+    """An estimate's pixels (c, k, 2) in the images as recorded."""
+    import numpy as np
+
+    from bask_data.core.geometry import scale_pixels
+
+    return np.stack(
+        [
+            scale_pixels(pixel, shape, (camera.height, camera.width))
+            for pixel, shape, camera in zip(estimate.pixel, shapes, cameras, strict=True)
+        ]
+    )
+
+
+def _coarse(maps: np.ndarray) -> np.ndarray:
+    """Maps (k, h, w) at `MAP_SIZE` pixels of width, or as they are."""
+    import cv2
+    import numpy as np
+
+    height, width = maps.shape[1:]
+    if width <= MAP_SIZE:
+        return maps
+    size = (MAP_SIZE, max(round(height * MAP_SIZE / width), 1))
+    return np.stack([cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in maps])
+
+
+def _count(
+    tracked: Tracked,
+    variant: str,
+    truth: Truth,
+    picks: Sequence[Pick],
+    observations: Sequence[Observation],
+    i_frame: int,
+) -> None:
+    """Add the first camera's distance maps of the keypoints it shows to the histograms: pixels near the keypoint, of
+    other objects and of none."""
+    import numpy as np
+
+    from bask_data.core.geometry import pixel_grid, scale_pixels
+    from bask_data.core.keypoint_scores import z_counts, z_edges
+    from bask_data.kinds.truth import ROBOT
+
+    distance, camera = observations[0].distance, tracked.cameras[0]
+    labels = truth.instance(camera, i_frame)
+    uv = scale_pixels(tracked.uv[0, i_frame], labels.shape, distance.shape[1:])
+    shown = np.flatnonzero(tracked.seen.visible[i_frame] & np.isfinite(uv).all(axis=1))
+    height, width = distance.shape[1:]
+    away = np.linalg.norm(pixel_grid(height, width)[None] - uv[shown, None, None], axis=3)
+    near = away <= NEAR * np.hypot(height, width)
+    v, u = (np.arange(n) * size // n for n, size in zip((height, width), labels.shape, strict=True))
+    on_object = np.isin(labels[np.ix_(v, u)], (0, ROBOT), invert=True)[None] & ~near
+    groups = {"near": near, "objects": on_object, "background": ~near & ~on_object}
+    counts = tracked.counts.setdefault(variant, {})
+    for group, found in z_counts(distance[shown], groups, z_edges()).items():
+        counts[group] = counts.get(group, 0) + found
+
+
+# Telling --------------------------------------------------------------------------------------------------------------
+
+
+def _told(
+    picks: Sequence[Pick], objects: Sequence[str], tracks: Sequence[Tracked], methods: Sequence[Method]
+) -> dict[str, Any]:
+    """Figures over the keypoints and demonstrations of one set of objects."""
+    import numpy as np
+
+    from bask_data.core.keypoint_scores import PHASES, phases, share_over_time, z_edges
+
+    of_frames = [phases(one.places, one.seen) for one in tracks]
+    return {
+        "demonstrations": {one.name: {"cameras": one.cameras, "n_frames": len(one.places)} for one in tracks},
+        "keypoints": [
+            {"object": name, **pick.model_dump(exclude={"instance", "point_world"})}
+            for pick, name in zip(picks, objects, strict=True)
+        ],
+        "moments": np.linspace(0.0, 1.0, N_MOMENTS).tolist(),
+        "share_of": {
+            phase: _plain(share_over_time([found[phase] for found in of_frames], N_MOMENTS)) for phase in PHASES
+        },
+        "methods": {one.name: _told_method(one.name, picks, objects, tracks, of_frames) for one in methods},
+        "distances": {
+            "edges": z_edges().tolist(),
+            "counts": {
+                variant: {
+                    group: np.sum([one.counts[variant][group] for one in tracks if variant in one.counts], axis=0)
+                    .astype(int)
+                    .tolist()
+                    for group in ("near", "objects", "background")
+                }
+                for variant in dict.fromkeys(one.variant for one in methods)
+            },
+        },
+        "examples": _examples(objects, tracks, methods),
+    }
+
+
+def _told_method(
+    name: str,
+    picks: Sequence[Pick],
+    objects: Sequence[str],
+    tracks: Sequence[Tracked],
+    of_frames: Sequence[Mapping[str, np.ndarray]],
+) -> dict[str, Any]:
+    import numpy as np
+
+    from bask_data.core.keypoint_scores import PHASES, Errors, distances, errors, over_time
+
+    known_places = [np.isfinite(one.places).all(axis=2) for one in tracks]
+    error = [distances(one.mean[name], one.places) for one in tracks]
+    apart = [distances(one.mean[name], one.mode[name]) for one in tracks]
+
+    def told(values: Sequence[np.ndarray], chosen: Sequence[np.ndarray]) -> dict[str, float | int | None]:
+        figures: Errors = errors(values, chosen)
+        return {key: None if value != value else value for key, value in asdict(figures).items()}
+
+    def of_keypoints(mine: np.ndarray) -> list[np.ndarray]:
+        return [known & mine for known in known_places]
+
+    def split(values: Sequence[np.ndarray]) -> dict[str, dict[str, float | int | None]]:
+        return {
+            "all": told(values, known_places),
+            **{phase: told(values, [found[phase] for found in of_frames]) for phase in PHASES},
+        }
+
+    object_of = np.array(objects)
+    along = {"error": over_time(error, N_MOMENTS), "apart": over_time(apart, N_MOMENTS)}
+    return {
+        "error": split(error),
+        "apart": split(apart),
+        "by_object": {one: told(error, of_keypoints(object_of == one)) for one in dict.fromkeys(objects)},
+        "by_keypoint": {
+            pick.name: told(error, of_keypoints(np.arange(len(picks)) == i)) for i, pick in enumerate(picks)
+        },
+        "by_demonstration": {
+            one.name: told([mine], [there]) for one, mine, there in zip(tracks, error, known_places, strict=True)
+        },
+        "over_time": {
+            f"{what}_{figure}": _plain(getattr(found, figure))
+            for what, found in along.items()
+            for figure in ("mean", "deviation")
+        },
+    }
+
+
+def _examples(objects: Sequence[str], tracks: Sequence[Tracked], methods: Sequence[Method]) -> list[dict[str, Any]]:
+    """Of each object, one keypoint in some frames of the first demonstration: the median one of the last method, so
+    that it is neither the best nor the worst that is shown."""
+    import numpy as np
+
+    from bask_data.core.keypoint_scores import distances
+
+    one, last = tracks[0], methods[-1].name
+    error = distances(one.mean[last], one.places)
+    frames = np.linspace(0, len(error) - 1, min(N_EXAMPLE_FRAMES, len(error))).round().astype(int)
+    examples = []
+    for name in dict.fromkeys(objects):
+        known_ones = [i for i, other in enumerate(objects) if other == name and np.isfinite(error[:, i]).any()]
+        if not known_ones:
+            continue
+        i = sorted(known_ones, key=lambda i: float(np.nanmean(error[:, i])))[len(known_ones) // 2]
+        examples.append(
+            {
+                "demonstration": one.name,
+                "camera": one.cameras[0],
+                "object": name,
+                "keypoint": i,
+                "frames": frames.tolist(),
+                "truth": [_plain(one.uv[0, t, i]) for t in frames],
+                "visible": [bool(one.seen.visible[t, i]) for t in frames],
+                "first_map": {variant: [_plain(row) for row in maps[i]] for variant, maps in one.first_maps.items()},
+                "pixel": {method.name: [_plain(one.pixel[method.name][t, 0, i]) for t in frames] for method in methods},
+                "error": {
+                    method.name: _plain(distances(one.mean[method.name], one.places)[frames, i]) for method in methods
+                },
+            }
+        )
+    return examples
+
+
+def _plain(values: np.ndarray) -> list[float | None]:
+    """Numbers for JSON, which knows no NaN, to a tenth of a millimetre or less."""
+    return [None if value != value else round(value, 5) for value in values.tolist()]

@@ -1,0 +1,255 @@
+"""Figures of the keypoint study, as the paper draws them: files to show elsewhere, and the report's section."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bask_data.dataset import Dataset
+from bask_data.errors import BadData
+from bask_data.report.figures import find_recording
+from bask_data.report.pictures import Mark, marks_picture, palette
+
+COLOURS = ("#a0673a", "#7fb2e5", "#2f6db5", "#e08a1e", "#2f9e5b", "#8a5fb5")
+"""Of methods; the first, brown, is the base network's."""
+PHASE_COLOURS = {"visible": "#dcefe2", "occluded": "#f6e2c2", "out of view": "#dcdce6", "not seen yet": "#f4f4f6"}
+TRUTH = "#e02020"
+LABELS = {
+    "apart": "Distance between mean and mode, cm",
+    "error": "Distance to the truth, cm",
+}
+TILE = 256
+DPI = 150
+GROUP_COLOURS = {"near": "#2f9e5b", "objects": "#e08a1e", "background": "#8b8b95"}
+GROUP_NAMES = {"near": "around the keypoint", "objects": "elsewhere on objects", "background": "background"}
+
+
+def write_pictures(dataset: Dataset, found: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Draw a study into PNG files: for each set of objects errors over time and examples, and the likelihood model.
+
+    Args:
+        found: of `evaluated_keypoints`.
+
+    Returns:
+        The files.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    made = []
+    colours = method_colours(found)
+    for name, group in found["groups"].items():
+        made.append(_saved(_study_figure(dataset, name, group, colours), folder / f"{name}.png"))
+        made.append(_saved(_likelihood_figure(found, group), folder / f"{name}-likelihood.png"))
+    return made
+
+
+def method_colours(found: Mapping[str, Any]) -> dict[str, str]:
+    """A colour for each method; those of single frames of other networks come first."""
+    names = [one["name"] for one in found["methods"]]
+    n_others = sum(one["variant"] != found["methods"][-1]["variant"] for one in found["methods"])
+    others = [COLOURS[0], *COLOURS[5:]]
+    return {
+        name: others[i % len(others)] if i < n_others else COLOURS[1 + (i - n_others) % (len(COLOURS) - 1)]
+        for i, name in enumerate(names)
+    }
+
+
+def _saved(figure: Any, file: Path) -> Path:
+    unfinished = file.with_name(f".{file.name}.unfinished")
+    try:
+        # Without the software's name in it, the same figure has the same bytes.
+        figure.savefig(unfinished, format="png", dpi=DPI, metadata={"Software": None})
+        unfinished.replace(file)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return file
+
+
+# Over time -----------------------------------------------------------------------------------------------------------
+
+
+def _study_figure(dataset: Dataset, name: str, group: Mapping[str, Any], colours: Mapping[str, str]) -> Any:
+    """Reference positions, multimodality and error over time, and below them a row of an example for each object."""
+    from matplotlib.figure import Figure
+
+    examples = group["examples"]
+    n_tiles = max((len(one["frames"]) for one in examples), default=1)
+    width = 12.0
+    figure = Figure(figsize=(width, 4.1 + len(examples) * (width / n_tiles + 0.25)), layout="constrained")
+    heights = [4.1, *[width / n_tiles + 0.25] * len(examples)]
+    rows: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    top = rows[0].subplots(1, 3, width_ratios=[1.0, 1.5, 1.5])
+    _draw_reference(top[0], dataset, group)
+    for axes, what in zip(top[1:], ("apart", "error"), strict=True):
+        draw_over_time(axes, group, what, colours)
+    handles, labels = top[2].get_legend_handles_labels()
+    rows[0].legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+    for row, example in zip(rows[1:], examples, strict=True):
+        _draw_example(row, dataset, group, example, colours)
+    return figure
+
+
+def draw_over_time(axes: Any, group: Mapping[str, Any], what: str, colours: Mapping[str, str]) -> None:
+    """Mean and standard deviation of each method from first to last frame, over what the cameras see of the points."""
+    moments = np.array(group["moments"])
+    share = np.zeros(len(moments))
+    for phase, colour in PHASE_COLOURS.items():
+        above = share + _numbers(group["share_of"][phase])
+        axes.fill_between(
+            moments,
+            share,
+            above,
+            color=colour,
+            linewidth=0,
+            transform=axes.get_xaxis_transform(),
+            zorder=0,
+            label=phase,
+        )
+        share = above
+    highest = 0.0
+    for name, told in group["methods"].items():
+        mean, deviation = (100 * _numbers(told["over_time"][f"{what}_{one}"]) for one in ("mean", "deviation"))
+        axes.fill_between(
+            moments, np.maximum(mean - deviation, 0), mean + deviation, color=colours[name], alpha=0.13, linewidth=0
+        )
+        axes.plot(moments, mean, color=colours[name], linewidth=2.0, label=name)
+        highest = max(highest, float(np.nanmax(mean, initial=0.0)))
+    axes.set_xlim(0, 1)
+    axes.set_ylim(0, 1.25 * highest or 1.0)
+    axes.set_xlabel("from the first frame to the last", fontsize=8)
+    axes.set_title(LABELS[what], fontsize=9)
+    axes.tick_params(labelsize=8)
+
+
+def _draw_reference(axes: Any, dataset: Dataset, group: Mapping[str, Any]) -> None:
+    """The image that most of the keypoints were picked in."""
+    picks = group["keypoints"]
+    frames = [(one["recording"], one["camera"], one["frame"]) for one in picks]
+    recording, camera, i_frame = max(frames, key=frames.count)
+    image = _frame(dataset, recording, camera, i_frame)
+    colours = palette(len(picks))
+    marks = [
+        Mark(i, np.array([one["u"], one["v"]]), colours[i])
+        for i, (one, frame) in enumerate(zip(picks, frames, strict=True))
+        if frame == (recording, camera, i_frame)
+    ]
+    axes.imshow(marks_picture(image, marks, 2 * TILE))
+    axes.set_title(f"Reference positions ({recording})", fontsize=9)
+    axes.set_axis_off()
+
+
+def _draw_example(
+    row: Any, dataset: Dataset, group: Mapping[str, Any], example: Mapping[str, Any], colours: Mapping[str, str]
+) -> None:
+    """A keypoint in some frames of a demonstration: the truth, and where each method has it."""
+    tiles = np.atleast_1d(row.subplots(1, len(example["frames"])))
+    keypoint = group["keypoints"][example["keypoint"]]["name"]
+    row.suptitle(
+        f"{keypoint} in {example['demonstration']}, {example['camera']} camera. Red: ground truth (hollow: hidden)",
+        fontsize=8,
+        x=0.01,
+        ha="left",
+    )
+    for i, (axes, i_frame) in enumerate(zip(tiles, example["frames"], strict=True)):
+        image = _frame(dataset, example["demonstration"], example["camera"], i_frame)
+        height, width = image.shape[:2]
+        axes.imshow(image)
+        for name, pixels in example["pixel"].items():
+            u, v = _numbers(pixels[i])
+            axes.plot(
+                np.clip(u, 0, width - 1),
+                np.clip(v, 0, height - 1),
+                marker="o" if 0 <= u < width and 0 <= v < height else "X",
+                color=colours[name],
+                markersize=7,
+                markeredgecolor="white",
+                markeredgewidth=0.8,
+            )
+        u, v = _numbers(example["truth"][i])
+        axes.plot(
+            np.clip(u, 0, width - 1),
+            np.clip(v, 0, height - 1),
+            marker="P",
+            markersize=9,
+            markerfacecolor=TRUTH if example["visible"][i] else "none",
+            markeredgecolor="white" if example["visible"][i] else TRUTH,
+        )
+        axes.set_title(f"frame {i_frame}", fontsize=7)
+        axes.set_xlim(-0.5, width - 0.5)
+        axes.set_ylim(height - 0.5, -0.5)
+        axes.set_axis_off()
+
+
+def _frame(dataset: Dataset, recording: str, camera: str, i_frame: int) -> np.ndarray:
+    found = find_recording(dataset, recording)
+    if found is None or camera not in found.camera_names or not 0 <= i_frame < found.camera(camera).n_frames:
+        where = f"frame {i_frame} of {camera} in {recording}"
+        raise BadData(dataset.root, where, expected="the frame the study was made with", got="none")
+    return found.camera(camera).rgb(i_frame)
+
+
+def _numbers(values: Sequence[float | None]) -> np.ndarray:
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+
+# The likelihood model ------------------------------------------------------------------------------------------------
+
+
+def _likelihood_figure(found: Mapping[str, Any], group: Mapping[str, Any]) -> Any:
+    """For each network a log-log histogram of descriptor distances with p(z) over it, and a distance map in bins."""
+    from matplotlib.figure import Figure
+
+    variants = list(group["distances"]["counts"])
+    figure = Figure(figsize=(9.0, 3.2 * len(variants)), layout="constrained")
+    rows = figure.subplots(len(variants), 2, width_ratios=[2.4, 1.0], squeeze=False)
+    for (left, right), variant in zip(rows, variants, strict=True):
+        draw_likelihood(left, found, group, variant)
+        _draw_map(right, group, variant)
+    return figure
+
+
+def draw_likelihood(axes: Any, found: Mapping[str, Any], group: Mapping[str, Any], variant: str) -> None:
+    """Pixels by descriptor distance, told apart by what they show, and the likelihood exp(-alpha z)."""
+    edges = np.array(group["distances"]["edges"])
+    counts = {name: np.array(one) for name, one in group["distances"]["counts"][variant].items()}
+    total = max(sum(int(one.sum()) for one in counts.values()), 1)
+    for name, count in counts.items():
+        share = np.where(count > 0, count / total, np.nan)
+        axes.stairs(np.nan_to_num(share), edges, color=GROUP_COLOURS[name], label=GROUP_NAMES[name], linewidth=1.5)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    filled = edges[:-1][sum(counts.values()) > 0]
+    if len(filled):
+        axes.set_xlim(filled[0], 1.3 * filled[-1])
+    axes.set_ylim(1e-7, 1.5)
+    for alpha in sorted({one["settings"]["alpha"] for one in found["methods"] if one["variant"] == variant}):
+        first, last = axes.get_xlim()
+        z = np.geomspace(first, last, 200)
+        axes.plot(z, np.exp(-alpha * z), color="black", linewidth=1.2, linestyle="--" if alpha == 1 else "-")
+        axes.annotate(f"exp(-{alpha:g} z)", (np.log(1e3) / alpha, 1e-3), fontsize=7, rotation=-60, va="bottom")
+    for name, margin in (found["margins"][variant] or {}).items():
+        axes.axvline(margin, color="black", linewidth=0.8, linestyle=":")
+        axes.annotate(f"M {name}", (margin, 0.6), fontsize=7, rotation=90, va="top", ha="right")
+    axes.set_xlabel("descriptor distance z", fontsize=8)
+    axes.set_ylabel("share of the pixels; p(z)", fontsize=8)
+    axes.set_title(f"{variant}: distances, and the likelihood of a match", fontsize=9)
+    axes.legend(fontsize=7, loc="lower left")
+    axes.tick_params(labelsize=8)
+
+
+def _draw_map(axes: Any, group: Mapping[str, Any], variant: str) -> None:
+    """The example's distance map in bins of equal factors."""
+    from matplotlib.colors import BoundaryNorm
+
+    axes.set_axis_off()
+    if not group["examples"]:
+        return
+    example = group["examples"][0]
+    z = np.array([_numbers(row) for row in example["first_map"][variant]])
+    bins = np.geomspace(max(float(np.nanmin(z)), 1e-3), float(np.nanmax(z)) * 1.001, 9)
+    drawn = axes.imshow(z, cmap="viridis_r", norm=BoundaryNorm(bins, 256), interpolation="nearest")
+    axes.figure.colorbar(drawn, ax=axes, shrink=0.85, format="%.2f").ax.tick_params(labelsize=6)
+    name = group["keypoints"][example["keypoint"]]["name"]
+    axes.set_title(f"z of {name}, {example['demonstration']}, first frame", fontsize=8)
