@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 from safetensors.torch import save_file
@@ -131,10 +132,9 @@ class DescriptorNetwork(nn.Module):
         self, rgb: UInt8[ndarray, "*b h w 3"], references: Float[ndarray, "k d"]
     ) -> Float[ndarray, "*b k h2 w2"]:
         """Descriptor distance z of every pixel of the resized image to each reference."""
-        wanted, described = torch.from_numpy(references).to(self.device), self.describe(rgb)
-        if described.ndim == 3:
-            return distance_maps(described, wanted).cpu().numpy()
-        return torch.stack([distance_maps(one, wanted) for one in described]).cpu().numpy()
+        cells, wanted = self.cells(rgb), torch.from_numpy(references).to(self.device)
+        found = maps_of_cells(cells if rgb.ndim == 4 else cells[None], wanted).cpu().numpy()
+        return found if rgb.ndim == 4 else found[0]
 
     def scaled_intrinsics(self, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Float[ndarray, "3 3"]:
         """Intrinsics of the resized image, for an image of `size`."""
@@ -222,6 +222,42 @@ def distance_maps(descriptors: Float[Tensor, "d h w"], references: Float[Tensor,
     z_squared += pixels.square().sum(dim=0)
     z_squared += centred.square().sum(dim=1, keepdim=True)
     return z_squared.clamp_(min=0.0).sqrt_().div_(math.sqrt(dimension)).reshape(-1, height, width)
+
+
+def maps_of_cells(cells: Float[Tensor, "b d h8 w8"], references: Float[Tensor, "k d"]) -> Float[Tensor, "b k h w"]:
+    """What `distance_maps` gives for the up-sampled descriptors, without up-sampling them.
+
+    A pixel's descriptor is a weighted mean of the cells' around it, p = sum w_i c_i. Its squared distance is therefore
+    |p - r|^2 = sum w_i |c_i - r|^2 - sum_{i<j} w_i w_j |c_i - c_j|^2: the cells' own, up-sampled, less a term that is
+    the same for all references. k + 1 maps take the place of D.
+    """
+    n, dimension, height, width = cells.shape
+    centre = references.mean(dim=0)
+    pixels, centred = (cells - centre[:, None, None]).flatten(2), references - centre
+    z_squared = torch.matmul(centred, pixels).mul_(-2.0)
+    z_squared += pixels.square().sum(dim=1, keepdim=True)
+    z_squared += centred.square().sum(dim=1, keepdim=True)
+    size = (STRIDE * height, STRIDE * width)
+    full = upsampled(z_squared.div_(dimension).reshape(n, -1, height, width), size)
+    full -= _between(cells).div_(dimension)
+    return full.clamp_(min=0.0).sqrt_()
+
+
+def _between(cells: Float[Tensor, "b d h8 w8"]) -> Float[Tensor, "b 1 h w"]:
+    """sum_{i<j} w_i w_j |c_i - c_j|^2 over the four cells around each pixel, by its bilinear weights w."""
+    padded = F.pad(cells, (1, 1, 1, 1), mode="replicate")
+    across = (padded[..., 1:] - padded[..., :-1]).square().sum(dim=1)
+    down = (padded[..., 1:, :] - padded[..., :-1, :]).square().sum(dim=1)
+    falling = (padded[..., 1:, 1:] - padded[..., :-1, :-1]).square().sum(dim=1)
+    rising = (padded[..., 1:, :-1] - padded[..., :-1, 1:]).square().sum(dim=1)
+    pairs = torch.stack([across[:, :-1], across[:, 1:], down[..., :-1], down[..., 1:], falling + rising], dim=1)
+    # All places between four cells repeat from each four to the next.
+    to_next = (torch.arange(STRIDE, device=cells.device) + 0.5) / STRIDE
+    a, b = to_next.repeat(STRIDE), to_next.repeat_interleave(STRIDE)
+    at, bt = a * (1 - a), b * (1 - b)
+    weights = torch.stack([at * (1 - b) ** 2, at * b**2, bt * (1 - a) ** 2, bt * a**2, at * bt], dim=1)
+    half = STRIDE // 2
+    return F.pixel_shuffle(torch.einsum("pf,bfhw->bphw", weights, pairs), STRIDE)[..., half:-half, half:-half]
 
 
 def best_matches(distances: Float[Tensor, "k h w"], size: tuple[int, int]) -> Float[ndarray, "k 2"]:

@@ -11,7 +11,8 @@ from safetensors.torch import save_file
 from bask_data.core.geometry import scale_intrinsics
 from bask_data.nn.backbones import BACKBONES
 from bask_data.nn.efficientnet import DenseEfficientNet
-from bask_data.nn.network import DescriptorNetwork, NetworkSettings, create, distance_maps, load
+from bask_data.nn.network import DescriptorNetwork, NetworkSettings, create, distance_maps, load, maps_of_cells
+from bask_data.nn.resnet import upsampled
 from bask_data.nn.vit import DenseViT, Sizes
 
 
@@ -49,6 +50,25 @@ def test_distance_maps_equal_distances_computed_one_by_one():
     for k in range(3):
         slow = (descriptors - references[k, :, None, None]).norm(dim=0) / 4.0
         torch.testing.assert_close(found[k], slow, atol=1e-4, rtol=1e-4)
+
+
+def test_maps_of_cells_equal_those_of_up_sampled_descriptors():
+    torch.manual_seed(0)
+    cells, references = torch.randn(2, 16, 5, 7) * 5 + 30, torch.randn(3, 16) * 5 + 30
+    references[0] = cells[1, :, 2, 3]
+    found = maps_of_cells(cells, references)
+    assert found.shape == (2, 3, 40, 56)
+    for maps, one in zip(found, upsampled(cells, (40, 56)), strict=True):
+        torch.testing.assert_close(maps, distance_maps(one, references), atol=2e-4, rtol=1e-4)
+
+
+def test_distance_maps_of_several_images_are_those_of_each():
+    network = small_network()
+    images, references = np.stack([image(48, 64), image(48, 64, 1)]), np.eye(2, 8, dtype=np.float32)
+    found = network.distance_maps(images, references)
+    assert found.shape == (2, 2, 48, 64)
+    for one, maps in zip(images, found, strict=True):
+        np.testing.assert_allclose(maps, network.distance_maps(one, references), atol=1e-4)
 
 
 def test_a_pixel_has_distance_zero_to_its_own_descriptor():
