@@ -333,6 +333,7 @@ def _add_stage(stage: Stage) -> None:
                 )
                 parameters.append(_parameter(f"variant_of_{kind}", Annotated[str, option], ""))
     parameters += [_option(name, field) for name, field in stage.params.model_fields.items()]
+    parameters += _pick_options() if stage.makes.kind == "reference" else []
     parameters += [
         _parameter("jobs", Jobs, 1),
         _parameter("cluster", Cluster, ""),
@@ -365,15 +366,17 @@ def _add_stage(stage: Stage) -> None:
             for name, value in options.items()
             if name.startswith("variant_of_") and value
         }
-        tasks = plan(
+        planned = functools.partial(
+            plan,
             dataset,
             stage,
             config=_parameters(root, config, set_, options.get("preset")),
-            options=_given(stage.params, options),
             only=_names(options.get("only", "")),
             variant=variant,
             variant_inputs=chosen,
         )
+        given = _given(stage.params, options)
+        tasks = planned(options=given)
         if not tasks:
             raise UsageError(
                 root, "", expected=f"a {stage.makes.scope}", got="none in the dataset", fix="bask-data ingest --help"
@@ -383,24 +386,90 @@ def _add_stage(stage: Stage) -> None:
                 follow(task, force)
             return
         outcomes = []
-        with shown_progress(), _executor(options["jobs"], options["cluster"]) as executor:
-            for outcome in run(tasks, executor=executor, force=force, dry_run=dry_run):
-                show_outcome(outcome)
-                _show_findings(outcome)
-                outcomes.append(outcome)
+        following = _following(stage, root, variant, chosen)
+        if options.get("pick"):
+            outcomes = _pick(
+                dataset,
+                planned=lambda new: planned(options={**given, **new})[0],
+                parameters=config or root / "params.yaml",
+                following=following,
+                inputs=chosen,
+                dry_run=dry_run,
+                options=options,
+            )
+        else:
+            _refuse_without_pick(options)
+            with shown_progress(), _executor(options["jobs"], options["cluster"]) as executor:
+                for outcome in run(tasks, executor=executor, force=force, dry_run=dry_run):
+                    show_outcome(outcome)
+                    _show_findings(outcome)
+                    outcomes.append(outcome)
         if variant != "main" and not dry_run and any(outcome.status == "made" for outcome in outcomes):
             dataset.add_variant(stage.makes, variant, Variant(inputs=chosen))
-        later = [
-            other
-            for other in STAGES[STAGES.index(stage) + 1 :]
-            if stage.makes in [given.artifact for given in other.inputs]
-        ]
-        following = f"{later[0].name if later else 'report'} {_quoted(root)}"
-        if later and variant != "main":
-            following += f" --{stage.makes.kind} {variant}"
-        _finish(stage.name, outcomes, json_, f"bask-data {following}")
+        saved_nothing = bool(options.get("pick")) and not outcomes
+        _finish(stage.name, outcomes, json_, "" if saved_nothing else following)
 
     _command(app, stage.name, stage.help, parameters, body, "Stages")
+
+
+def _following(stage: Stage, root: Path, variant: str, chosen: dict[str, str]) -> str:
+    """The command that goes on with what a stage has made, in the same variants."""
+    later = [other for other in STAGES if stage.makes in [given.artifact for given in other.inputs]]
+    if not later:
+        return f"bask-data report {_quoted(root)}"
+    own = {given.artifact.kind for given in stage.inputs if given.artifact.has_variants}
+    shared = [given.artifact.kind for given in later[0].inputs if given.artifact.kind in own]
+    variants = {stage.makes.kind: variant, **{kind: chosen.get(kind, variant) for kind in shared}}
+    words = [f"--{kind} {name}" for kind, name in variants.items() if name != "main"]
+    return " ".join([f"bask-data {later[0].name} {_quoted(root)}", *words])
+
+
+def _pick_options() -> list[inspect.Parameter]:
+    """Of `reference` alone: where its picks may come from besides the parameters."""
+    flag = typer.Option("--pick", help="Choose them on a page in a browser, which shows where each would be found.")
+    port = typer.Option(min=0, max=65535, help="With --pick: of the page. [default: any that is free]")
+    browser = typer.Option("--browser/--no-browser", help="With --pick: open the page, where there is a display.")
+    return [
+        _parameter("pick", Annotated[bool, flag], False),
+        _parameter("port", Annotated[int | None, port], None),
+        _parameter("browser", Annotated[bool, browser], True),
+    ]
+
+
+def _refuse_without_pick(options: dict[str, Any]) -> None:
+    if options.get("port") is not None:
+        raise UsageError("reference", "--port", expected="to come with --pick", got="it alone", fix="--pick --port N")
+
+
+def _pick(dataset: Dataset, *, dry_run: bool, options: dict[str, Any], **picking: Any) -> list[Outcome]:
+    """What was saved on the page, when it is closed."""
+    from bask_data.picker import Picking, pick_keypoints
+
+    if dry_run:
+        raise UsageError("reference", "--dry-run", expected="no --pick beside it", got="both")
+
+    def opened(url: str) -> None:
+        say(f"open {url}  (Ctrl-C ends it; unsaved keypoints are kept)")
+        if options["browser"]:
+            _open_in_browser(url)
+
+    with shown_progress():
+        found = Picking(dataset, **picking)
+        outcomes = pick_keypoints(found, say=say, opened=opened, port=options["port"] or 0)
+    for outcome in outcomes:
+        show_outcome(outcome)
+    if not outcomes:
+        say("nothing was saved; the same command goes on with what was picked.")
+    return outcomes
+
+
+def _open_in_browser(url: str) -> None:
+    import webbrowser
+
+    from bask_data.view.windows import has_display
+
+    if has_display():
+        webbrowser.open(url)
 
 
 for _stage in STAGES:

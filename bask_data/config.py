@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from bask_data.artifact import write_text_atomically
 from bask_data.errors import BadData, UsageError
 from bask_data.presets import PresetName, preset
 from bask_data.stage import Config, Stage
@@ -56,6 +57,10 @@ def _from_file(file: Path) -> Config:
         raise UsageError(file, "", expected="a YAML file", got="nothing") from None
     except (yaml.YAMLError, OSError, ValueError, RecursionError) as error:
         raise BadData(file, "", expected="YAML", got=str(error).replace("\n", " ")) from error
+    return _sections(document, file)
+
+
+def _sections(document: Any, file: Path) -> Config:
     if not isinstance(document, dict):
         raise BadData(file, "", expected="sections named like stages", got=type(document).__name__)
     for section, values in document.items():
@@ -71,3 +76,42 @@ def _value(text: str) -> Any:
         return yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise UsageError("--set", "", expected="a YAML value", got=text) from error
+
+
+def write_section(file: Path, section: str, values: dict[str, Any]) -> None:
+    """Set parameters of one section of a YAML file, which need not exist; the rest stays as it is, comments included.
+
+    Raises:
+        BadData: the file is no YAML mapping of mappings.
+    """
+    import yaml
+
+    config = _from_file(file) if file.exists() else {}
+    wanted = {**config, section: {**config.get(section, {}), **values}}
+    text = _with_section(file.read_text(encoding="utf-8") if file.exists() else "", section, wanted[section])
+    try:
+        is_right = _sections(yaml.safe_load(text), file) == wanted
+    except (yaml.YAMLError, BadData):
+        is_right = False
+    if not is_right:
+        # It is written in a way whose lines cannot be exchanged: all of it in one, for instance.
+        text = yaml.safe_dump(wanted, sort_keys=False, allow_unicode=True)
+    write_text_atomically(file, text)
+
+
+def _with_section(text: str, section: str, values: dict[str, Any]) -> str:
+    """The text with the lines of one top-level section replaced, or added at its end."""
+    import yaml
+
+    written = yaml.safe_dump({section: values}, sort_keys=False, allow_unicode=True, width=1000)
+    lines = text.splitlines(keepends=True)
+    begin = next((i for i, line in enumerate(lines) if line.startswith((f"{section}:", f'"{section}":'))), None)
+    if begin is None:
+        return text + ("" if text.endswith("\n") or not text else "\n") + written
+    end = begin + 1
+    while end < len(lines) and (lines[end].startswith((" ", "-")) or not lines[end].strip()):
+        end += 1
+    # The empty lines before the next section belong to what comes after.
+    while not lines[end - 1].strip():
+        end -= 1
+    return "".join([*lines[:begin], written, *lines[end:]])

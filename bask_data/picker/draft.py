@@ -1,0 +1,168 @@
+"""Unfinished work: the marks of keypoints, what was done to them, and the file that keeps both."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from bask_data.artifact import write_json_atomically
+from bask_data.errors import BadData, UsageError
+from bask_data.params import first_fault
+
+MOST_MARKS = 256
+MOST_STEPS = 200
+"""Steps that can be undone."""
+
+_NAME = re.compile(r"[\w.-][\w. -]{0,39}")
+"""No colon and no comma: these separate picks and their parts on the command line."""
+
+
+class Mark(BaseModel):
+    """A keypoint to be: a pixel of a frame. Integers of u and v are pixel centres."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    name: str
+    recording: str
+    camera: str
+    frame: int
+    u: float
+    v: float
+
+
+Marks = tuple[Mark, ...]
+
+
+class _File(BaseModel):
+    """What is kept: the marks, and those before each step that can be undone or done again."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    marks: Marks = ()
+    undo: list[Marks] = []
+    redo: list[Marks] = []
+
+
+class Draft:
+    """Marks that are worked on. Every change is on disk before it is answered, and can be undone."""
+
+    def __init__(self, file: Path, start: Sequence[Mark] = ()) -> None:
+        """Go on from the file, or begin with `start` where there is none.
+
+        Raises:
+            BadData: the file is damaged.
+        """
+        self._file = file
+        self.is_new = not file.exists()
+        try:
+            self._kept = _File(marks=tuple(start)) if self.is_new else _File.model_validate_json(file.read_bytes())
+        except ValidationError as error:
+            field, expected, came = first_fault(error)
+            fix = "delete it: it holds unfinished picks only."
+            raise BadData(file, field, expected=expected, got=came, fix=fix) from error
+
+    @property
+    def marks(self) -> Marks:
+        """In the order they were made."""
+        return self._kept.marks
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is a step to undo."""
+        return bool(self._kept.undo)
+
+    @property
+    def can_redo(self) -> bool:
+        """Whether the last thing done was to undo a step."""
+        return bool(self._kept.redo)
+
+    def add(self, marks: Sequence[Mark]) -> None:
+        """Add marks, as one step; those whose name is empty or taken get another.
+
+        Raises:
+            UsageError: there would be too many.
+        """
+        added = list(self.marks)
+        for mark in marks:
+            added.append(mark.model_copy(update={"name": _free(mark.name, {other.name for other in added})}))
+        if len(added) > MOST_MARKS:
+            raise UsageError("keypoints", "", expected=f"at most {MOST_MARKS}", got=str(len(added)))
+        self._do(tuple(added))
+
+    def move(self, name: str, u: float, v: float) -> None:
+        """Move a mark within its frame."""
+        self._replace(name, lambda mark: mark.model_copy(update={"u": u, "v": v}))
+
+    def rename(self, name: str, new: str) -> None:
+        """Give a mark another name.
+
+        Raises:
+            UsageError: the name is taken, or could not stand in a parameter.
+        """
+        new = checked_name(new)
+        if new != name and any(mark.name == new for mark in self.marks):
+            raise UsageError("name", "", expected="one that no other keypoint has", got=new)
+        self._replace(name, lambda mark: mark.model_copy(update={"name": new}))
+
+    def delete(self, names: Sequence[str]) -> None:
+        """Take marks away, as one step."""
+        for name in names:
+            self.find(name)
+        self._do(tuple(mark for mark in self.marks if mark.name not in names))
+
+    def find(self, name: str) -> Mark:
+        """The mark of a name; `UsageError` without one."""
+        for mark in self.marks:
+            if mark.name == name:
+                return mark
+        raise UsageError("name", "", expected="that of a keypoint", got=name)
+
+    def undo(self) -> None:
+        """Take the last step back; nothing if there is none."""
+        if self.can_undo:
+            *undo, last = self._kept.undo
+            self._keep(_File(marks=last, undo=undo, redo=[*self._kept.redo, self.marks]))
+
+    def redo(self) -> None:
+        """Do again what was undone last; nothing if there is nothing."""
+        if self.can_redo:
+            *redo, last = self._kept.redo
+            self._keep(_File(marks=last, undo=[*self._kept.undo, self.marks], redo=redo))
+
+    def drop(self) -> None:
+        """Forget the file: what it held is saved."""
+        self._file.unlink(missing_ok=True)
+
+    def _replace(self, name: str, change: Callable[[Mark], Mark]) -> None:
+        self.find(name)
+        self._do(tuple(change(mark) if mark.name == name else mark for mark in self.marks))
+
+    def _do(self, marks: Marks) -> None:
+        if marks != self.marks:
+            self._keep(_File(marks=marks, undo=[*self._kept.undo, self.marks][-MOST_STEPS:]))
+
+    def _keep(self, kept: _File) -> None:
+        write_json_atomically(self._file, kept.model_dump(mode="json"))
+        self._kept = kept
+
+
+def checked_name(name: str) -> str:
+    """The name without spaces around it; `UsageError` if it could not stand in a parameter."""
+    name = name.strip()
+    if not _NAME.fullmatch(name):
+        expected = "letters, digits, spaces, '_', '.' and '-', at most 40"
+        raise UsageError("name", "", expected=expected, got=repr(name[:60]))
+    return name
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """The name, or else the first free one made of it and a number."""
+    if name and name not in taken:
+        return checked_name(name)
+    stem, n = (f"{name}_", 2) if name else ("point_", 1)
+    while f"{stem}{n}" in taken:
+        n += 1
+    return checked_name(f"{stem}{n}")
