@@ -172,7 +172,9 @@ def _sync_chunk(array: zarr.Array, i_chunk: int) -> None:
     """Force a chunk and what leads to it to disk, before anything relies on it."""
     folder = Path(str(array.store_path.store.root)) / array.path  # type: ignore[attr-defined]
     chunk = folder / "c" / str(i_chunk)
-    for path in (*chunk.rglob("*"), chunk, folder / "c", folder / "zarr.json", folder):
+    # zarr writes no chunk that is zeros throughout.
+    there = [*chunk.rglob("*"), chunk, folder / "c"] if chunk.exists() else []
+    for path in (*there, folder / "zarr.json", folder):
         descriptor = os.open(path, os.O_RDONLY)
         try:
             os.fsync(descriptor)
