@@ -80,6 +80,11 @@ class VideoWriter:
         height, width = self.size
         return height + height % 2, width + width % 2
 
+    @property
+    def n_bytes(self) -> int:
+        """How much is written so far, but for what is still being coded."""
+        return self._unfinished.stat().st_size if self._unfinished.exists() else 0
+
     def __enter__(self) -> VideoWriter:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         try:

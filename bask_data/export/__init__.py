@@ -1,0 +1,141 @@
+"""Encoded demonstrations as the files that policies are learned from."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from contextlib import suppress
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal
+
+from bask_data.artifact import SCRATCH, list_files, new_scratch, publish, recover
+from bask_data.dataset import Dataset
+from bask_data.errors import BaskError, UsageError, WouldOverwrite
+from bask_data.export.episodes import SPLITS, Choice, Episodes
+
+__all__ = ["DESCRIPTION", "Choice", "Exported", "FormatName", "export"]
+
+FormatName = Literal["parquet", "lerobot", "robomimic", "diffusion-policy"]
+
+DESCRIPTION = "bask.json"
+"""File in every exported folder that says what its numbers mean; by it, an export is known as one."""
+
+HDF5 = (".hdf5", ".h5")
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written.
+
+    Args:
+        splits: names of the demonstrations of each.
+        columns: number of values of each.
+        notes: what a person should know of the data.
+    """
+
+    path: str
+    format: FormatName
+    n_frames: int
+    n_bytes: int
+    splits: dict[str, list[str]]
+    columns: dict[str, int]
+    cameras: list[str]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def opened_with(self) -> str:
+        """What to type to look into it, in Python or in a shell."""
+        return {
+            "parquet": f'pyarrow.parquet.read_table("{self.path}/frames.parquet")',
+            "lerobot": f'LeRobotDataset("local/{Path(self.path).name}", root="{self.path}")',
+            "robomimic": f'python -m robomimic.scripts.get_dataset_info --dataset "{self.path}"',
+            "diffusion-policy": f'ReplayBuffer.copy_from_path("{self.path}")',
+        }[self.format]
+
+
+def export(dataset: Dataset, out: Path, format: FormatName, choice: Choice, *, force: bool = False) -> Exported:
+    """Write demonstrations and their keypoints; what is there stays until all is written.
+
+    Raises:
+        WouldOverwrite: there is something at `out`.
+        UsageError: with `force`, what is there is no export; or an option names what does not exist.
+        BadData: the demonstrations do not fit together, or hold what no policy can learn from.
+        MissingDependency: the format's package is not installed.
+        BaskError: the files cannot be written.
+    """
+    _refuse(out, format, force)
+    episodes = Episodes(dataset, choice)
+    writer = import_module(f"bask_data.export.{format.replace('-', '_')}")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    recover(out.parent)
+    scratch = new_scratch(out.parent, "export")
+    try:
+        notes = writer.write(scratch, episodes)
+        n_bytes = _sync(scratch)
+        if (scratch / "file").exists():
+            os.replace(scratch / "file", out)
+        else:
+            publish(scratch, out)
+    except OSError as error:
+        fix = "see that the disk has room."
+        raise BaskError(out, "", expected="a place that takes all", got=str(error)[:200], fix=fix) from error
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+        with suppress(OSError):
+            (out.parent / SCRATCH).rmdir()
+    return Exported(
+        path=str(out),
+        format=format,
+        n_frames=episodes.n_frames,
+        n_bytes=n_bytes,
+        splits={split: [episodes.entries[i].name for i in episodes.in_split(split)] for split in SPLITS},
+        columns={column.name: column.width for column in episodes.columns},
+        cameras=list(episodes.cameras),
+        notes=[*_gaps(episodes), *episodes.notes, *notes],
+    )
+
+
+def write_description(folder: Path, described: dict[str, Any]) -> None:
+    """Say in an exported folder what its numbers mean."""
+    (folder / DESCRIPTION).write_text(json.dumps(described, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def _refuse(out: Path, format: FormatName, force: bool) -> None:
+    """Nothing but an export is replaced, and only when asked: a slip in OUT must not cost a folder."""
+    if format == "robomimic" and out.suffix not in HDF5:
+        raise UsageError(out, "OUT", expected=f"a name that ends in {' or '.join(HDF5)}", got=out.name)
+    if not out.exists() and not out.is_symlink():
+        return
+    if not force:
+        raise WouldOverwrite(out, "", expected="nothing", got="something", fix="--force replaces an export.")
+    is_file = format == "robomimic"
+    known = out.is_file() and out.suffix in HDF5 if is_file else (out / DESCRIPTION).is_file()
+    if not known or out.is_symlink():
+        expected = "a robomimic file" if is_file else f"an exported folder, with {DESCRIPTION} in it"
+        raise UsageError(out, "--force", expected=expected, got="something else", fix="choose another OUT.")
+
+
+def _gaps(episodes: Episodes) -> list[str]:
+    """Recordings that paused: their frames are told as if they followed each other evenly."""
+    return [
+        f"{entry.name}: {entry.n_gaps} times between frames are longer than one and a half of the usual "
+        f"{1 / entry.fps:.3g} s; see the column time."
+        for entry in episodes.entries
+        if entry.n_gaps
+    ]
+
+
+def _sync(folder: Path) -> int:
+    """Force every file to disk; how many bytes they are."""
+    n_bytes = 0
+    for _, file in list_files(folder):
+        descriptor = os.open(file, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+        n_bytes += file.stat().st_size
+    return n_bytes

@@ -1,0 +1,397 @@
+"""Encoded demonstrations as a policy learns from them: episodes with the same columns, read one at a time."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bask_data import __version__
+from bask_data.dataset import Dataset
+from bask_data.errors import BadData, UsageError
+from bask_data.kinds import Camera, Demonstration, KeypointTrack
+
+if TYPE_CHECKING:
+    import numpy as np
+
+SPLITS = ("train", "validation", "test")
+
+CONVENTIONS = {
+    "units": "SI: metres, seconds, radians, unless a column says otherwise.",
+    "world": "Positions are in the world frame of the demonstration, the one its cameras and gripper are posed in.",
+    "keypoints": "Mean of the filter's belief after the frame; x, y, z of the first keypoint, then of the second. "
+    "Where a keypoint is not localised, its last place is kept (before the first, the first one).",
+    "spread": "Square root of the trace of the belief's covariance: how far, in the mean square, the keypoint may be "
+    "from its mean. Noise that was added is not in it.",
+    "gripper_rotation": "First and second column of the rotation in world_from_gripper: the gripper's x and y axes in "
+    "the world. The third is their cross product.",
+    "action": "As recorded, in the same frame as the observations it was chosen at.",
+    "frames": "Frames of all cameras, robot and keypoints belong together by number.",
+}
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What to export, and how.
+
+    Args:
+        variant: of the keypoints.
+        only: demonstrations by name; none means all.
+        validation, test: demonstrations to hold out; the others are for training.
+        noise: standard deviation of Gaussian noise on each coordinate of the keypoints, metres.
+        seed: of the noise, which depends on a demonstration's name and not on the others'.
+        videos: whether the cameras' images go along.
+        task: what is done, in words; without, what the demonstration's source says, or else the dataset's name.
+    """
+
+    variant: str = "main"
+    only: Sequence[str] = ()
+    validation: Sequence[str] = ()
+    test: Sequence[str] = ()
+    noise: float = 0.0
+    seed: int = 0
+    videos: bool = False
+    task: str = ""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A quantity that every frame has.
+
+    Args:
+        values: names of its values in their order; none for a single number.
+    """
+
+    name: str
+    values: tuple[str, ...]
+    dtype: str
+    description: str
+    units: str = ""
+
+    @property
+    def width(self) -> int:
+        """How many numbers a frame has of it."""
+        return len(self.values) or 1
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A demonstration before its frames are read.
+
+    Args:
+        fps: frames per second: the inverse of the median time between frames.
+        n_gaps: times between frames that are longer than one and a half of the median.
+    """
+
+    name: str
+    split: str
+    task: str
+    n_frames: int
+    fps: float
+    n_gaps: int
+    digest: str
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A demonstration's frames: for each column (t, width), single numbers (t,)."""
+
+    entry: Entry
+    values: dict[str, np.ndarray]
+    cameras: dict[str, Camera]
+
+    @property
+    def state(self) -> np.ndarray:
+        """What a policy observes, (t, s) float32: the columns of `Episodes.state` side by side."""
+        import numpy as np
+
+        there = [name for name in STATE if name in self.values]
+        return np.concatenate([self.values[name].reshape(self.entry.n_frames, -1) for name in there], axis=1)
+
+
+STATE = ("keypoints", "spread", "gripper_position", "gripper_rotation", "gripper_width")
+
+
+class Episodes:
+    """The chosen demonstrations, those for training first. What does not fit together is told before any is written."""
+
+    def __init__(self, dataset: Dataset, choice: Choice) -> None:
+        """Look at every demonstration.
+
+        Raises:
+            UsageError: a name is no demonstration, or is in two splits; there is none; the noise is negative.
+            BadData: a demonstration has no keypoints, or not the columns that the others have.
+        """
+        if not 0 <= choice.noise < float("inf"):
+            raise UsageError("export", "--noise", expected="0 metres or more", got=choice.noise)
+        self.dataset, self.choice = dataset, choice
+        self._held: dict[str, int] = {}
+        self.entries = [self._entry(name, split) for name, split in _divided(dataset, choice)]
+        first = self.entries[0].name
+        self.columns = self._columns(first)
+        self.cameras = self._sizes(first)
+        for entry in self.entries[1:]:
+            self._check_alike(first, entry.name)
+
+    @property
+    def state(self) -> list[Column]:
+        """The columns that make up a policy's observation."""
+        return [column for column in self.columns if column.name in STATE]
+
+    def column(self, name: str) -> Column:
+        """One of the columns."""
+        return next(column for column in self.columns if column.name == name)
+
+    def has(self, name: str) -> bool:
+        """Whether there is such a column."""
+        return name in [column.name for column in self.columns]
+
+    def path_of(self, entry: Entry) -> Path:
+        """Where a demonstration lies."""
+        return self._demonstration(entry.name).path
+
+    def require(self, name: str) -> None:
+        """Refuse demonstrations without a column that the format cannot do without; `BadData`."""
+        if not self.has(name):
+            path = self.path_of(self.entries[0])
+            fix = "record what the robot does, or export to parquet."
+            raise BadData(path, f"robot/{name}", expected="a record of it", got="none", fix=fix)
+
+    @property
+    def notes(self) -> list[str]:
+        """What was done to the numbers; complete when all have been read."""
+        return [
+            f"{name}: {n} positions are kept from other frames, in which the keypoint was localised."
+            for name, n in self._held.items()
+            if n
+        ]
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def __iter__(self) -> Iterator[Episode]:
+        """Each demonstration in turn; only one's numbers are in memory, and none of its images."""
+        for entry in self.entries:
+            yield self._read(entry)
+
+    def in_split(self, split: str) -> list[int]:
+        """Numbers of the episodes of a split."""
+        return [i for i, entry in enumerate(self.entries) if entry.split == split]
+
+    def described(self, format: str) -> dict[str, Any]:
+        """What a reader must know: columns, frames, units, where the numbers come from."""
+        return {
+            "made_by": f"bask-data {__version__}",
+            "format": format,
+            "dataset": self.dataset.file.name,
+            "licence": self.dataset.file.licence,
+            "variant": self.choice.variant,
+            "filter": self._track(self.entries[0].name).metadata.filter,
+            "keypoints": self._track(self.entries[0].name).names,
+            "noise": self.choice.noise,
+            "seed": self.choice.seed,
+            "conventions": CONVENTIONS,
+            "columns": [vars(column) for column in self.columns],
+            "cameras": {name: list(size) for name, size in self.cameras.items()},
+            "episodes": [vars(entry) for entry in self.entries],
+            "splits": {split: [self.entries[i].name for i in self.in_split(split)] for split in SPLITS},
+        }
+
+    @cached_property
+    def n_frames(self) -> int:
+        """Of all demonstrations."""
+        return sum(entry.n_frames for entry in self.entries)
+
+    def _demonstration(self, name: str) -> Demonstration:
+        return Demonstration(self.dataset.path(Demonstration, name))
+
+    def _track(self, name: str) -> KeypointTrack:
+        path = self.dataset.path(KeypointTrack, name, self.choice.variant)
+        if not path.exists():
+            option = "" if self.choice.variant == "main" else f" --variant {self.choice.variant}"
+            fix = f"bask-data encode {self.dataset.root}{option} --only {name}"
+            raise BadData(path, "", expected="keypoints of the demonstration", got="none", fix=fix)
+        return KeypointTrack(path)
+
+    def _entry(self, name: str, split: str) -> Entry:
+        demonstration, track = self._demonstration(name), self._track(name)
+        track.check_complete()
+        demonstration.check_complete()
+        n_frames = track.group["mean"].shape[0]  # type: ignore[union-attr]
+        for camera in demonstration.cameras:
+            if camera.n_frames != n_frames:
+                raise BadData(
+                    track.path,
+                    "mean",
+                    expected=f"{camera.n_frames} frames, as camera {camera.name} has",
+                    got=n_frames,
+                    fix="encode it again.",
+                )
+        fps, n_gaps = _rate(demonstration.cameras[0])
+        options = self.dataset.file.demonstrations[name].options
+        task = self.choice.task or str(options.get("task") or self.dataset.file.name)
+        return Entry(name, split, task, n_frames, fps, n_gaps, track.manifest.digest)
+
+    def _columns(self, name: str) -> list[Column]:
+        demonstration = self._demonstration(name)
+        group, names = demonstration.group, self._track(name).names
+        coordinates = tuple(f"{keypoint}.{axis}" for keypoint in names for axis in "xyz")
+        axes = tuple(f"gripper.{axis}_{of}" for axis in ("x_axis", "y_axis") for of in "xyz")
+        here, each = "Whether a camera more likely than not sees the keypoint in this frame.", tuple(names)
+        columns = [
+            Column("time", (), "float64", "Time of the frame, as recorded.", "second"),
+            Column("keypoints", coordinates, "float32", "Positions of the keypoints in the world.", "metre"),
+            Column("spread", tuple(f"{n}.spread" for n in names), "float32", CONVENTIONS["spread"], "metre"),
+            Column("observed", each, "bool", here),
+            Column("localised", each, "bool", "Whether the keypoint's position is of this frame, not of another."),
+        ]
+        if "robot/world_from_gripper" in group:
+            places = tuple(f"gripper.{axis}" for axis in "xyz")
+            columns += [
+                Column("gripper_position", places, "float32", "Origin of the gripper in the world.", "metre"),
+                Column("gripper_rotation", axes, "float32", CONVENTIONS["gripper_rotation"]),
+            ]
+        if "robot/gripper_width" in group:
+            columns.append(Column("gripper_width", ("gripper.width",), "float32", "Opening of the gripper.", "metre"))
+        if "robot/action" in group:
+            n_actions = group["robot/action"].shape[1]  # type: ignore[union-attr]
+            named = tuple(demonstration.metadata.action_names) or tuple(f"action_{i}" for i in range(n_actions))
+            columns.append(Column("action", named, "float32", "What was commanded; units as recorded."))
+        return columns
+
+    def _sizes(self, name: str) -> dict[str, tuple[int, int]]:
+        """(height, width) of each camera whose images are wanted."""
+        cameras = self._demonstration(name).cameras if self.choice.videos else []
+        return {camera.name: (camera.height, camera.width) for camera in cameras}
+
+    def _check_alike(self, first: str, other: str) -> None:
+        """Policies learn from all demonstrations at once: names and sizes must be the same in all of them."""
+        here, there = self._columns(first), self._columns(other)
+        names = {column.name: column.values for column in there}
+        for column in here:
+            if names.get(column.name) != column.values:
+                got = ", ".join(names[column.name]) if column.name in names else "none"
+                expected = f"{', '.join(column.values)}, as {first} has"
+                raise BadData(self._demonstration(other).path, column.name, expected=expected, got=got, fix=_ALIKE)
+        if extra := [name for name in names if name not in {column.name for column in here}]:
+            path = self._demonstration(other).path
+            raise BadData(path, extra[0], expected=f"none, as {first} has none", got="some", fix=_ALIKE)
+        if (sizes := self._sizes(other)) != self.cameras:
+            expected = f"{_listed(self.cameras)}, as {first} has"
+            raise BadData(self._demonstration(other).path, "cameras", expected=expected, got=_listed(sizes), fix=_ALIKE)
+
+    def _read(self, entry: Entry) -> Episode:
+        import numpy as np
+
+        demonstration, track = self._demonstration(entry.name), self._track(entry.name)
+        localised = np.isfinite(track.mean).all(axis=-1)
+        for i in np.flatnonzero(~localised.any(axis=0)):
+            fix = "export another --variant, or leave the demonstration out with --only."
+            raise BadData(
+                track.path, track.names[i], expected="a place in at least one frame", got="none in any", fix=fix
+            )
+        self._held[entry.name] = int((~localised).sum())
+        variance = np.trace(track.covariance, axis1=-2, axis2=-1)
+        noise = _generator(self.choice.seed, entry.name).normal(0.0, self.choice.noise, track.mean.shape)
+        seen = [track.observed(camera) for camera in track.camera_names]
+        values = {
+            "time": demonstration.cameras[0].time,
+            "keypoints": held(track.mean, localised) + noise,
+            "spread": np.sqrt(np.maximum(held(variance, localised), 0.0)),
+            "observed": np.any(seen, axis=0) & localised,
+            "localised": localised,
+            **_of_robot(demonstration),
+        }
+        cameras = {name: demonstration.camera(name) for name in self.cameras}
+        return Episode(
+            entry, {c.name: _checked(values[c.name], c, entry, demonstration) for c in self.columns}, cameras
+        )
+
+
+def held(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Values (t, k, ...) where unknown ones are those of the last frame before that is known, or else of the first.
+
+    Args:
+        known: (t, k) bool; each of the k somewhere.
+    """
+    import numpy as np
+
+    n_frames, n = known.shape
+    before = np.maximum.accumulate(np.where(known, np.arange(n_frames)[:, None], -1), axis=0)
+    return values[np.where(before < 0, known.argmax(axis=0), before), np.arange(n)]
+
+
+_ALIKE = "export those that are alike with --only."
+
+
+def _divided(dataset: Dataset, choice: Choice) -> list[tuple[str, str]]:
+    """(demonstration, split), by split and then as the dataset lists them."""
+    there = dataset.items("demonstration")
+    for option, names in (("--only", choice.only), ("--validation", choice.validation), ("--test", choice.test)):
+        if unknown := [name for name in names if name not in there]:
+            known = ", ".join(there) or "no demonstrations yet"
+            raise UsageError(dataset.root, option, expected=f"one of {known}", got=", ".join(unknown))
+    if both := [name for name in choice.validation if name in choice.test]:
+        raise UsageError("export", "--test", expected="others than --validation", got=", ".join(both))
+    chosen = [name for name in there if name in choice.only or not choice.only]
+    if not chosen:
+        fix = "bask-data ingest --help"
+        raise UsageError(dataset.root, "", expected="a demonstration", got="none in the dataset", fix=fix)
+    of = {**dict.fromkeys(choice.validation, "validation"), **dict.fromkeys(choice.test, "test")}
+    return sorted(((name, of.get(name, "train")) for name in chosen), key=lambda pair: SPLITS.index(pair[1]))
+
+
+def _rate(camera: Camera) -> tuple[float, int]:
+    """Frames per second of a stream, and how often it paused."""
+    import numpy as np
+
+    steps = np.diff(camera.time)
+    if len(steps) == 0:
+        raise BadData(camera.path, "time", expected="two frames or more", got=len(camera.time))
+    if not (np.isfinite(steps).all() and (steps > 0).all()):
+        raise BadData(camera.path, "time", expected="each frame later than the one before", got="times that are not")
+    step = float(np.median(steps))
+    return 1.0 / step, int((steps > 1.5 * step).sum())
+
+
+def _generator(seed: int, name: str) -> np.random.Generator:
+    """A source of noise that is a demonstration's own, whichever others are exported along with it."""
+    import numpy as np
+
+    return np.random.default_rng([seed, *hashlib.sha256(name.encode()).digest()])
+
+
+def _of_robot(demonstration: Demonstration) -> dict[str, np.ndarray]:
+    robot = demonstration.robot
+    values: dict[str, np.ndarray] = {}
+    if robot is None:
+        return values
+    if robot.world_from_gripper is not None:
+        grippers = robot.world_from_gripper
+        values["gripper_position"] = grippers[:, :3, 3]
+        values["gripper_rotation"] = grippers[:, :3, :2].swapaxes(1, 2)
+    if robot.gripper_width is not None:
+        values["gripper_width"] = robot.gripper_width[:, None]
+    if robot.action is not None:
+        values["action"] = robot.action
+    return values
+
+
+def _checked(values: np.ndarray, column: Column, entry: Entry, demonstration: Demonstration) -> np.ndarray:
+    """A column as it is written, every number of it finite and every frame there."""
+    import numpy as np
+
+    if len(values) != entry.n_frames:
+        expected = f"{entry.n_frames} frames, as the cameras have"
+        raise BadData(demonstration.path, column.name, expected=expected, got=len(values), fix="ingest it again.")
+    if not np.isfinite(values).all():
+        raise BadData(demonstration.path, column.name, expected="finite numbers", got="NaN or infinity")
+    shape = (entry.n_frames, column.width) if column.values else (entry.n_frames,)
+    return np.ascontiguousarray(values.reshape(shape), dtype=column.dtype)
+
+
+def _listed(sizes: dict[str, tuple[int, int]]) -> str:
+    return ", ".join(f"{name} {width}x{height}" for name, (height, width) in sizes.items()) or "no cameras"

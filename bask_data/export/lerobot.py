@@ -1,0 +1,332 @@
+"""LeRobot, dataset format v3.0: tables of frames and of episodes, one video file for many episodes, statistics."""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bask_data.errors import BadData
+from bask_data.export import write_description
+from bask_data.export.episodes import SPLITS, Column, Episode, Episodes
+from bask_data.export.images import frames
+from bask_data.export.parquet import arrow, arrow_type
+from bask_data.progress import progress
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from bask_data.formats.video import VideoWriter
+
+VERSION = "v3.0"
+FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
+FILES_PER_CHUNK = 1000
+DATA_BYTES, VIDEO_BYTES = 100 * 2**20, 200 * 2**20
+"""A file that has grown to this is ended with its episode."""
+
+QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
+RATE_TOLERANCE = 0.02
+"""Clocks jitter: a rate as near as this to a whole number, or to another demonstration's, is meant to be it."""
+
+NUMBERING = tuple(
+    Column(name, (), dtype, description)
+    for name, dtype, description in (
+        ("timestamp", "float32", "Seconds since the episode's first frame at the even rate `fps`."),
+        ("frame_index", "int64", "Number in the episode."),
+        ("episode_index", "int64", "Number of the episode."),
+        ("index", "int64", "Number in the dataset."),
+        ("task_index", "int64", "Number of the task."),
+    )
+)
+
+
+def write(out: Path, episodes: Episodes) -> list[str]:
+    """Write the folder; what was made of the rate of frames."""
+    fps, notes = rate(episodes)
+    columns, tasks = _columns(episodes), _tasks(episodes)
+    rows: list[dict[str, Any]] = []
+    stats: list[dict[str, Any]] = []
+    with ExitStack() as open_files:
+        tables = open_files.enter_context(_Tables(out, columns))
+        videos = [open_files.enter_context(_Videos(out, *camera, fps)) for camera in episodes.cameras.items()]
+        for i, episode in enumerate(progress(episodes, "exporting demonstrations", len(episodes))):
+            begin, n = rows[-1]["dataset_to_index"] if rows else 0, episode.entry.n_frames
+            values = _numbered(episode, i, begin, tasks.index(episode.entry.task), fps)
+            row = {"episode_index": i, "tasks": [episode.entry.task], "length": n}
+            row |= {"dataset_from_index": begin, "dataset_to_index": begin + n, **tables.append(values)}
+            found = {column.name: vector_stats(values[column.name]) for column in columns}
+            found |= {video.key: video.append(row, episode) for video in videos}
+            row |= {f"stats/{name}/{key}": value for name, one in found.items() for key, value in one.items()}
+            rows.append(row | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
+            stats.append(found)
+    features = {column.name: _feature(column) for column in columns} | {video.key: video.feature for video in videos}
+    _write_meta(out, episodes, features, stats, rows, fps)
+    return notes
+
+
+def _feature(column: Column) -> dict[str, Any]:
+    return {"dtype": column.dtype, "shape": [column.width], "names": list(column.values) or None}
+
+
+def rate(episodes: Episodes) -> tuple[float, list[str]]:
+    """The one rate that all of a dataset's episodes have, whole if it nearly is.
+
+    Raises:
+        BadData: a demonstration has another rate than the first.
+    """
+    first = episodes.entries[0]
+    for entry in episodes.entries:
+        if abs(entry.fps / first.fps - 1) > RATE_TOLERANCE:
+            expected = f"about {first.fps:.3g} frames per second, as {first.name} has"
+            fix = "export those of one rate with --only."
+            raise BadData(episodes.path_of(entry), "time", expected=expected, got=f"{entry.fps:.3g}", fix=fix)
+    mean = sum(entry.fps for entry in episodes.entries) / len(episodes)
+    whole = round(mean)
+    if whole and abs(mean / whole - 1) <= RATE_TOLERANCE:
+        return whole, []
+    return round(mean, 3), [f"{mean:.3f} frames per second is no whole number, as some of LeRobot's tools expect."]
+
+
+def _columns(episodes: Episodes) -> list[Column]:
+    """LeRobot's names: what begins with `observation` or is `action` goes to the policy, the rest stays beside it."""
+    values = tuple(name for column in episodes.state for name in column.values)
+    state = Column("observation.state", values, "float32", "Keypoints, their spread, gripper.")
+    action = [episodes.column("action")] if episodes.has("action") else []
+    beside = [episodes.column(name) for name in ("observed", "localised", "time")]
+    return [state, *action, *(Column(_BESIDE[c.name], c.values, c.dtype, c.description) for c in beside), *NUMBERING]
+
+
+_BESIDE = {"observed": "keypoints.observed", "localised": "keypoints.localised", "time": "recorded_time"}
+
+
+def _numbered(episode: Episode, i: int, begin: int, task: int, fps: float) -> dict[str, np.ndarray]:
+    import numpy as np
+
+    number = np.arange(episode.entry.n_frames)
+    return {
+        "observation.state": episode.state,
+        **({"action": episode.values["action"]} if "action" in episode.values else {}),
+        **{name: episode.values[of] for of, name in _BESIDE.items()},
+        "timestamp": (number / fps).astype(np.float32),
+        "frame_index": number,
+        "episode_index": np.full_like(number, i),
+        "index": begin + number,
+        "task_index": np.full_like(number, task),
+    }
+
+
+class _Numbering:
+    """Which file is being written: `chunk_index` and `file_index`."""
+
+    def __init__(self) -> None:
+        self.n = -1
+
+    def where(self) -> dict[str, int]:
+        return {"chunk_index": self.n // FILES_PER_CHUNK, "file_index": self.n % FILES_PER_CHUNK}
+
+
+class _Tables(_Numbering):
+    """The frames of all episodes, in Parquet files of a bounded size."""
+
+    def __init__(self, out: Path, columns: list[Column]) -> None:
+        import pyarrow as pa
+
+        super().__init__()
+        self._out, self._columns = out, columns
+        self._schema = pa.schema([pa.field(column.name, arrow_type(_single(column))) for column in columns])
+        self._writer: Any = None
+        self._n_bytes = 0
+
+    def __enter__(self) -> _Tables:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+
+    def append(self, values: dict[str, np.ndarray]) -> dict[str, int]:
+        """Add an episode; in which file it is."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        if self._writer is None:
+            self.n, self._n_bytes = self.n + 1, 0
+            path = self._out / "data" / f"{FILE.format(**self.where())}.parquet"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = pq.ParquetWriter(path, self._schema, compression="snappy")
+        table = pa.Table.from_arrays([arrow(values[c.name], _single(c)) for c in self._columns], schema=self._schema)
+        self._writer.write_table(table)
+        self._n_bytes += table.nbytes
+        where = {f"data/{key}": n for key, n in self.where().items()}
+        if self._n_bytes >= DATA_BYTES:
+            self.__exit__()
+        return where
+
+
+class _Videos(_Numbering):
+    """The images of one camera in all episodes, in video files of a bounded size."""
+
+    def __init__(self, out: Path, name: str, size: tuple[int, int], fps: float) -> None:
+        super().__init__()
+        self.key = f"observation.images.{name}"
+        self._out, self._name, self._size, self._fps = out, name, size, fps
+        self._video: VideoWriter | None = None
+        self.feature: dict[str, Any] = {}
+
+    def __enter__(self) -> _Videos:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        if self._video is not None:
+            video, self._video = self._video, None
+            video.__exit__(*error)
+
+    def append(self, row: dict[str, Any], episode: Episode) -> dict[str, Any]:
+        """Add an episode, and to its row where it is; the statistics of its images."""
+        import numpy as np
+
+        video = self._video = self._video or self._next()
+        begin, counts = video.n_frames, np.zeros((3, 256), np.int64)
+        for image in frames(episode.cameras[self._name], episode.entry.name):
+            video.append(image)
+            counts += [np.bincount(image[..., channel].reshape(-1), minlength=256) for channel in range(3)]
+        where = {**self.where(), "from_timestamp": begin / self._fps, "to_timestamp": video.n_frames / self._fps}
+        row |= {f"videos/{self.key}/{key}": value for key, value in where.items()}
+        if video.n_bytes >= VIDEO_BYTES:
+            self.__exit__(None, None, None)
+        return image_stats(counts, episode.entry.n_frames)
+
+    def _next(self) -> VideoWriter:
+        from bask_data.formats.video import VideoWriter
+
+        self.n += 1
+        path = self._out / "videos" / self.key / f"{FILE.format(**self.where())}.mp4"
+        # Training draws frames at random: with every other frame a whole picture, none is far from one.
+        video = VideoWriter(path, self._fps, self._size, keyframe_every=2, quality=20)
+        height, width = video.coded_size
+        info = {"height": height, "width": width, "codec": "h264", "pix_fmt": "yuv420p", "is_depth_map": False}
+        info |= {"fps": self._fps, "channels": 3}
+        self.feature = {
+            "dtype": "video",
+            "shape": [height, width, 3],
+            "names": ["height", "width", "channels"],
+            "info": {**{f"video.{key}": value for key, value in info.items()}, "has_audio": False},
+        }
+        return video.__enter__()
+
+
+def _single(column: Column) -> Column:
+    """The same column, where LeRobot has a number for a list of one."""
+    return Column(column.name, (), column.dtype, column.description) if column.width == 1 else column
+
+
+def vector_stats(values: np.ndarray) -> dict[str, Any]:
+    """Statistics of an episode's values (t, w) or (t,), each a list of w."""
+    import numpy as np
+
+    columns = values.reshape(len(values), -1).astype(np.float64)
+    found = {"min": columns.min(0), "max": columns.max(0), "mean": columns.mean(0), "std": columns.std(0)}
+    found |= {_quantile_name(share): np.quantile(columns, share, axis=0) for share in QUANTILES}
+    return {**{name: value.tolist() for name, value in found.items()}, "count": [len(values)]}
+
+
+def image_stats(counts: np.ndarray, n_images: int) -> dict[str, Any]:
+    """Statistics of images as shares of full brightness, each of shape (3, 1, 1).
+
+    Args:
+        counts: (3, 256), how often each channel has each brightness.
+    """
+    import numpy as np
+
+    brightness = np.arange(256) / 255.0
+    share = counts / counts.sum(axis=1, keepdims=True)
+    there = counts > 0
+    mean = share @ brightness
+    found = {
+        "min": brightness[there.argmax(axis=1)],
+        "max": brightness[255 - there[:, ::-1].argmax(axis=1)],
+        "mean": mean,
+        "std": np.sqrt(np.maximum(share @ brightness**2 - mean**2, 0.0)),
+    }
+    reached = share.cumsum(axis=1)
+    # Sums of shares end a little below or above 1, so that the last brightness is found for all quantiles.
+    found |= {_quantile_name(q): brightness[(reached >= q - 1e-12).argmax(axis=1)] for q in QUANTILES}
+    return {**{name: value.reshape(3, 1, 1).tolist() for name, value in found.items()}, "count": [n_images]}
+
+
+def merged_stats(episodes: list[dict[str, Any]]) -> dict[str, Any]:
+    """Statistics of all episodes from those of each: exact but for quantiles, which are averaged as LeRobot does."""
+    import numpy as np
+
+    counts = np.array([one["count"][0] for one in episodes], dtype=np.float64)
+    of = {name: np.array([one[name] for one in episodes], dtype=np.float64) for name in episodes[0] if name != "count"}
+
+    def averaged(values: np.ndarray) -> np.ndarray:
+        mean: np.ndarray = np.average(values, axis=0, weights=counts)
+        return mean
+
+    mean = averaged(of["mean"])
+    merged = {name: averaged(of[name]) for name in of if name.startswith("q")}
+    merged |= {"min": of["min"].min(axis=0), "max": of["max"].max(axis=0), "mean": mean}
+    merged["std"] = np.sqrt(averaged(of["std"] ** 2 + (of["mean"] - mean) ** 2))
+    return {**{name: value.tolist() for name, value in merged.items()}, "count": [int(counts.sum())]}
+
+
+def _quantile_name(share: float) -> str:
+    return f"q{round(share * 100):02d}"
+
+
+def _write_meta(
+    out: Path,
+    episodes: Episodes,
+    features: dict[str, Any],
+    stats: list[dict[str, Any]],
+    rows: list[dict[str, Any]],
+    fps: float,
+) -> None:
+    """Write `meta/`: what there is, statistics, tasks, episodes."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    tasks = _tasks(episodes)
+    info = {
+        "codebase_version": VERSION,
+        "robot_type": None,
+        "total_episodes": len(rows),
+        "total_frames": episodes.n_frames,
+        "total_tasks": len(tasks),
+        "chunks_size": FILES_PER_CHUNK,
+        "data_files_size_in_mb": DATA_BYTES // 2**20,
+        "video_files_size_in_mb": VIDEO_BYTES // 2**20,
+        "fps": fps,
+        "splits": _splits(episodes),
+        "data_path": f"data/{FILE}.parquet",
+        "video_path": f"videos/{{video_key}}/{FILE}.mp4" if episodes.cameras else None,
+        "features": features,
+    }
+    meta = out / "meta"
+    (meta / "episodes" / "chunk-000").mkdir(parents=True)
+    _write_json(meta / "info.json", info)
+    _write_json(meta / "stats.json", {name: merged_stats([one[name] for one in stats]) for name in stats[0]})
+    pq.write_table(pa.Table.from_pylist(rows), meta / "episodes" / "chunk-000" / "file-000.parquet")
+    # LeRobot reads the tasks as a pandas table whose index they are; pandas finds that in the schema.
+    index = {"index_columns": ["task"], "column_indexes": [], "columns": [], "pandas_version": "2.0.0"}
+    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
+    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(index)}), meta / "tasks.parquet")
+    write_description(out, episodes.described("lerobot"))
+
+
+def _tasks(episodes: Episodes) -> list[str]:
+    return list(dict.fromkeys(entry.task for entry in episodes.entries))
+
+
+def _splits(episodes: Episodes) -> dict[str, str]:
+    """Ranges of episodes: they are in the order of their splits."""
+    ranges = {split: episodes.in_split(split) for split in SPLITS}
+    return {split: f"{numbers[0]}:{numbers[-1] + 1}" for split, numbers in ranges.items() if numbers}
+
+
+def _write_json(file: Path, value: object) -> None:
+    file.write_text(json.dumps(value, indent=4, ensure_ascii=False, allow_nan=False) + "\n")

@@ -1,0 +1,95 @@
+"""robomimic: one HDF5 file, a group `data/demo_<i>` a demonstration, a list of names in `mask` a split.
+
+Only imitation learning can use it: rewards are 0 and, because demonstrations are taken to succeed, 1 in the last frame;
+there is no `next_obs`.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from bask_data.errors import MissingDependency
+from bask_data.export.episodes import Episode, Episodes
+from bask_data.export.images import blocks
+from bask_data.progress import progress
+
+if TYPE_CHECKING:
+    import numpy as np
+
+MASKS = {"train": "train", "validation": "valid", "test": "test"}
+"""robomimic's names of the splits."""
+
+NO_ENVIRONMENT = 2
+"""robomimic's number of a Gym environment; it knows none that is no environment, and makes it only for roll-outs."""
+
+
+def import_h5py() -> ModuleType:
+    """The module `h5py`; `MissingDependency` where it is not installed."""
+    try:
+        import h5py
+    except ImportError as error:
+        raise MissingDependency(
+            "export", error.name or "h5py", expected="h5py", got="none", fix="pip install 'bask-data[export]'"
+        ) from None
+    return h5py
+
+
+def write(out: Path, episodes: Episodes) -> list[str]:
+    """Write `out/file`; what robomimic will not like about the actions."""
+    h5py = import_h5py()
+    episodes.require("action")
+    largest = 0.0
+    # The earliest layout that holds all this: readers open it whatever their version.
+    with h5py.File(out / "file", "w", libver="earliest") as file:
+        described = json.dumps(episodes.described("robomimic"), ensure_ascii=False, allow_nan=False)
+        file.attrs["bask"] = described
+        data = file.create_group("data")
+        data.attrs["total"] = episodes.n_frames
+        environment = {"env_name": episodes.dataset.file.name, "type": NO_ENVIRONMENT, "env_kwargs": {}}
+        data.attrs["env_args"] = json.dumps({**environment, "env_type": NO_ENVIRONMENT})
+        for i, episode in enumerate(progress(episodes, "exporting demonstrations", len(episodes))):
+            _write_episode(data.create_group(f"demo_{i}"), episode, episodes)
+            largest = max(largest, float(abs(episode.values["action"]).max()))
+        for split, mask in MASKS.items():
+            if names := [f"demo_{i}" for i in episodes.in_split(split)]:
+                file.create_dataset(f"mask/{mask}", data=_bytes(names))
+    return [f"robomimic wants actions from -1 to 1; the largest is {largest:.3g}."] if largest > 1 else []
+
+
+def _write_episode(group: Any, episode: Episode, episodes: Episodes) -> None:
+    import numpy as np
+
+    n = episode.entry.n_frames
+    last = np.zeros(n, np.float32)
+    last[-1] = 1.0
+    group.attrs["num_samples"] = n
+    group.attrs.update({name: getattr(episode.entry, name) for name in ("name", "task", "fps", "digest")})
+    group["actions"], group["rewards"], group["dones"] = episode.values["action"], last, last
+    group["states"], group["time"] = np.zeros((n, 0), np.float32), episode.values["time"]
+    for column in episodes.columns:
+        if column.name not in ("time", "action"):
+            # It makes tensors of what it reads as it is, and multiplies them: no truth values.
+            values = episode.values[column.name]
+            group[f"obs/{column.name}"] = values.astype(np.float32) if column.dtype == "bool" else values
+            group[f"obs/{column.name}"].attrs["values"] = _bytes(column.values)
+            group[f"obs/{column.name}"].attrs.update({"units": column.units, "description": column.description})
+    group["actions"].attrs["values"] = _bytes(episodes.column("action").values)
+    for name, camera in episode.cameras.items():
+        size = (*episodes.cameras[name], 3)
+        images = group.create_dataset(
+            f"obs/{name}_image", (n, *size), "uint8", chunks=(1, *size), compression="gzip", shuffle=False
+        )
+        at = 0
+        for block in blocks(camera, episode.entry.name, 32):
+            images[at : at + len(block)] = block
+            at += len(block)
+
+
+def _bytes(names: Any) -> np.ndarray:
+    """Names as robomimic decodes them."""
+    import numpy as np
+
+    return np.array([name.encode() for name in names], dtype="S")

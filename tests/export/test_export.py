@@ -1,0 +1,399 @@
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import get_args
+
+import h5py
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner, Result
+
+from bask_data.artifact import list_files
+from bask_data.cli import app
+from bask_data.dataset import Dataset
+from bask_data.errors import BadData, BaskError, MissingDependency, UsageError, WouldOverwrite
+from bask_data.export import Choice, FormatName, export
+from bask_data.export.episodes import Episodes, held
+from bask_data.kinds import KeypointTrack, Robot
+from tests.export.encoded import KEYPOINTS, Demo, exported_dataset, state
+
+NAMES = {"parquet": "out", "lerobot": "out", "robomimic": "out.hdf5", "diffusion-policy": "out.zarr"}
+FORMATS = pytest.mark.parametrize("format", get_args(FormatName))
+
+
+@pytest.fixture(scope="module")
+def encoded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, dict[str, Demo]]:
+    return exported_dataset(tmp_path_factory.mktemp("encoded") / "kitchen")
+
+
+def one(root: Path, demo: Demo) -> Dataset:
+    """A dataset of one demonstration."""
+    dataset = Dataset.create(root)
+    demo.publish(dataset, "a")
+    return dataset
+
+
+def keypoints(dataset: Dataset, **choice: object) -> dict[str, np.ndarray]:
+    """Positions (t, k, 3) as exported."""
+    found = {}
+    for episode in Episodes(dataset, Choice(**choice)):
+        found[episode.entry.name] = episode.values["keypoints"].reshape(episode.entry.n_frames, -1, 3)
+    return found
+
+
+def bytes_below(path: Path) -> dict[str, bytes]:
+    files = [("", path)] if path.is_file() else list_files(path)
+    return {name: file.read_bytes() for name, file in files}
+
+
+def test_what_a_policy_observes_is_keypoints_their_spread_and_the_gripper(encoded) -> None:
+    dataset, demos = encoded
+    episodes = Episodes(dataset, Choice())
+    names = [name for column in episodes.state for name in column.values]
+    assert names[:8] == [
+        *("handle.x", "handle.y", "handle.z", "lid.x", "lid.y", "lid.z"),
+        *("handle.spread", "lid.spread"),
+    ]
+    assert names[8:11] == ["gripper.x", "gripper.y", "gripper.z"]
+    assert (len(names), names[-1]) == (18, "gripper.width")
+    for episode in episodes:
+        np.testing.assert_allclose(episode.state, state(demos[episode.entry.name]), rtol=1e-6)
+
+
+def test_third_axis_of_the_gripper_is_the_cross_product_of_the_two_that_are_written(encoded) -> None:
+    dataset, demos = encoded
+    for episode in Episodes(dataset, Choice()):
+        x_axis, y_axis = np.split(episode.values["gripper_rotation"], 2, axis=1)
+        expected = demos[episode.entry.name].robot.world_from_gripper[:, :3, 2]
+        np.testing.assert_allclose(np.cross(x_axis, y_axis), expected, atol=1e-6)
+
+
+def test_a_keypoint_is_observed_where_any_camera_observes_it(encoded) -> None:
+    dataset, demos = encoded
+    for episode in Episodes(dataset, Choice()):
+        demo = demos[episode.entry.name]
+        np.testing.assert_array_equal(episode.values["observed"], demo.observed["wrist"] | demo.observed["overhead"])
+
+
+def test_a_keypoint_that_is_lost_stays_where_it_was_and_is_marked(tmp_path: Path) -> None:
+    demo = Demo(0, 6)
+    demo.mean[:2, 0] = np.nan
+    demo.mean[4, 1] = np.nan
+    demo.covariance[4, 1] = np.nan
+    dataset = one(tmp_path / "d", demo)
+    episodes = Episodes(dataset, Choice())
+    [episode] = episodes
+    positions = episode.values["keypoints"].reshape(6, 2, 3)
+    np.testing.assert_array_equal(positions[:2, 0], demo.mean[[2, 2], 0])
+    np.testing.assert_array_equal(positions[4, 1], demo.mean[3, 1])
+    np.testing.assert_array_equal(positions[2:, 0], demo.mean[2:, 0])
+    assert np.argwhere(~episode.values["localised"]).tolist() == [[0, 0], [1, 0], [4, 1]]
+    assert not episode.values["observed"][~episode.values["localised"]].any()
+    assert episode.values["spread"][4, 1] == episode.values["spread"][3, 1]
+    assert episodes.notes == ["a: 3 positions are kept from other frames, in which the keypoint was localised."]
+
+
+@given(st.lists(st.booleans(), min_size=1).filter(any))
+def test_what_is_unknown_is_what_was_last_known_or_else_comes_first(known: list[bool]) -> None:
+    values = np.arange(float(len(known)))
+    found = held(values[:, None], np.array(known)[:, None])[:, 0]
+    for i, value in enumerate(found):
+        before = [j for j in range(i + 1) if known[j]]
+        assert value == (before[-1] if before else known.index(True))
+
+
+def test_noise_is_as_large_as_asked_the_same_for_a_seed_and_each_demonstrations_own(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    demos = {name: Demo(0, 400) for name in "ab"}
+    for demo in demos.values():
+        demo.cameras, demo.observed = ("wrist",), {"wrist": demo.observed["wrist"]}
+    for name, demo in demos.items():
+        demo.publish(dataset, name)
+    noisy = keypoints(dataset, noise=0.02)
+    error = {name: noisy[name] - demos[name].mean for name in "ab"}
+    # 2400 samples: the standard deviation is known to 1.5 %, the mean to 0.4 mm.
+    assert np.std(error["a"]) == pytest.approx(0.02, rel=0.06)
+    assert abs(np.mean(error["a"])) < 0.0016
+    assert abs(np.corrcoef(error["a"][:-1].ravel(), error["a"][1:].ravel())[0, 1]) < 0.08
+    assert abs(np.corrcoef(error["a"].ravel(), error["b"].ravel())[0, 1]) < 0.08
+    np.testing.assert_array_equal(keypoints(dataset, noise=0.02, only=("b",))["b"], noisy["b"])
+    assert np.abs(keypoints(dataset, noise=0.02, seed=1)["a"] - noisy["a"]).max() > 0.01
+    np.testing.assert_array_equal(keypoints(dataset)["a"], demos["a"].mean)
+
+
+def test_demonstrations_for_training_come_first_whatever_their_order(encoded) -> None:
+    dataset, _ = encoded
+    episodes = Episodes(dataset, Choice(validation=("a",), test=("b",)))
+    assert [(entry.name, entry.split) for entry in episodes.entries] == [
+        *(("c", "train"), ("a", "validation"), ("b", "test"))
+    ]
+
+
+def test_the_task_is_what_the_source_says_or_what_is_given_or_the_datasets_name(encoded, tmp_path: Path) -> None:
+    dataset, _ = encoded
+    assert [entry.task for entry in Episodes(dataset, Choice()).entries] == ["put the lid on", "stir", "put the lid on"]
+    assert {entry.task for entry in Episodes(dataset, Choice(task="cook")).entries} == {"cook"}
+    assert Episodes(one(tmp_path / "garden", Demo()), Choice()).entries[0].task == "garden"
+
+
+@FORMATS
+def test_the_same_demonstrations_give_the_same_bytes(encoded, tmp_path: Path, format: FormatName) -> None:
+    choice = Choice(videos=True, noise=0.02, validation=("b",))
+    outs = [tmp_path / str(i) / NAMES[format] for i in range(2)]
+    for out in outs:
+        export(encoded[0], out, format, choice)
+    assert bytes_below(outs[0]) == bytes_below(outs[1])
+
+
+@FORMATS
+def test_every_format_says_what_its_numbers_mean(encoded, tmp_path: Path, format: FormatName) -> None:
+    out = tmp_path / NAMES[format]
+    export(encoded[0], out, format, Choice(noise=0.02, seed=7, test=("c",)))
+    if format == "robomimic":
+        with h5py.File(out) as file:
+            said = json.loads(file.attrs["bask"])
+    else:
+        said = json.loads((out / "bask.json").read_text())
+    assert (said["format"], said["dataset"], said["licence"], said["filter"]) == (format, "kitchen", "CC0", "particle")
+    assert (said["noise"], said["seed"], said["keypoints"]) == (0.02, 7, KEYPOINTS)
+    assert said["splits"] == {"train": ["a", "b"], "validation": [], "test": ["c"]}
+    assert [(one["name"], one["n_frames"]) for one in said["episodes"]] == [("a", 12), ("b", 7), ("c", 9)]
+    assert said["episodes"][0]["fps"] == pytest.approx(10.0)
+    assert {one["name"]: one["units"] for one in said["columns"]}["keypoints"] == "metre"
+    assert "world" in said["conventions"]
+
+
+@FORMATS
+def test_what_is_there_is_kept_unless_replacing_it_is_asked_for(encoded, tmp_path: Path, format: FormatName) -> None:
+    dataset, out = encoded[0], tmp_path / NAMES[format]
+    export(dataset, out, format, Choice())
+    before = bytes_below(out)
+    with pytest.raises(WouldOverwrite, match=r"expected nothing, got something.  fix: --force replaces an export\."):
+        export(dataset, out, format, Choice(only=("a",)))
+    assert bytes_below(out) == before
+    export(dataset, out, format, Choice(only=("a",)), force=True)
+    assert bytes_below(out) != before
+    assert [file.name for file in tmp_path.iterdir()] == [NAMES[format]]
+
+
+@FORMATS
+def test_nothing_but_an_export_is_replaced(encoded, tmp_path: Path, format: FormatName) -> None:
+    out = tmp_path / NAMES[format]
+    out.mkdir()
+    (out / "letters.txt").write_text("dear")
+    with pytest.raises(UsageError, match=r"--force: expected .*, got something else.  fix: choose another OUT\."):
+        export(encoded[0], out, format, Choice(), force=True)
+    assert (out / "letters.txt").read_text() == "dear"
+
+
+@FORMATS
+def test_an_export_that_breaks_off_leaves_what_was_there(
+    encoded, tmp_path: Path, format: FormatName, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / NAMES[format]
+    export(encoded[0], out, format, Choice(only=("a",)))
+    before = bytes_below(out)
+
+    def read(self: Episodes, entry: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Episodes, "_read", read)
+    with pytest.raises(KeyboardInterrupt):
+        export(encoded[0], out, format, Choice(), force=True)
+    assert bytes_below(out) == before
+    assert [file.name for file in tmp_path.iterdir()] == [NAMES[format]]
+
+
+def test_a_full_disk_is_told(encoded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(pq, "write_table", refuse)
+    with pytest.raises(BaskError, match="expected a place that takes all, got .*No space left on device"):
+        export(encoded[0], tmp_path / "out", "parquet", Choice())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_robomimic_file_has_the_name_of_one(encoded, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"OUT: expected a name that ends in .hdf5 or .h5, got out\.zip"):
+        export(encoded[0], tmp_path / "out.zip", "robomimic", Choice())
+
+
+def test_without_h5py_the_line_that_brings_it_is_named(
+    encoded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(MissingDependency, match=r"expected h5py, got none.  fix: pip install 'bask-data\[export\]'"):
+        export(encoded[0], tmp_path / "out.hdf5", "robomimic", Choice())
+
+
+@pytest.mark.parametrize(
+    ("choice", "complaint"),
+    [
+        ({"only": ("x",)}, "--only: expected one of a, b, c, got x"),
+        ({"validation": ("x",)}, "--validation: expected one of a, b, c, got x"),
+        ({"test": ("x", "a")}, "--test: expected one of a, b, c, got x"),
+        ({"test": ("a", "b"), "validation": ("b",)}, "--test: expected others than --validation, got b"),
+        ({"noise": -0.1}, "--noise: expected 0 metres or more, got -0.1"),
+        ({"noise": float("nan")}, "--noise: expected 0 metres or more, got nan"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(encoded, choice: dict[str, object], complaint: str) -> None:
+    with pytest.raises(UsageError, match=complaint):
+        Episodes(encoded[0], Choice(**choice))
+
+
+def test_a_dataset_without_demonstrations_has_nothing_to_export(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="expected a demonstration, got none in the dataset"):
+        Episodes(Dataset.create(tmp_path / "d"), Choice())
+
+
+def test_a_demonstration_that_is_not_encoded_names_the_command_that_does_it(encoded) -> None:
+    with pytest.raises(
+        BadData, match=r"expected keypoints of the demonstration, got none.  fix: bask-data encode .* -"
+    ):
+        Episodes(encoded[0], Choice(variant="sharp"))
+
+
+def test_a_track_of_other_frames_is_refused(tmp_path: Path) -> None:
+    demo = Demo(0, 6)
+    dataset = one(tmp_path / "d", demo)
+    Demo(0, 5).publish_track(dataset, "a")
+    with pytest.raises(BadData, match="mean: expected 6 frames, as camera overhead has, got 5"):
+        Episodes(dataset, Choice())
+
+
+def test_a_track_that_has_lost_a_file_is_refused(tmp_path: Path) -> None:
+    dataset = one(tmp_path / "d", Demo())
+    next(path for path in dataset.path(KeypointTrack, "a").glob("mean/c/**/*") if path.is_file()).unlink()
+    with pytest.raises(BadData, match="expected the file, got none"):
+        Episodes(dataset, Choice())
+
+
+def test_a_keypoint_that_is_never_localised_is_refused(tmp_path: Path) -> None:
+    demo = Demo(0, 6)
+    demo.mean[:, 1] = np.nan
+    with pytest.raises(BadData, match="lid: expected a place in at least one frame, got none in any"):
+        list(Episodes(one(tmp_path / "d", demo), Choice()))
+
+
+def test_a_number_that_is_none_is_refused(tmp_path: Path) -> None:
+    demo = Demo(0, 6)
+    demo.robot.action[3, 2] = np.nan
+    with pytest.raises(BadData, match="action: expected finite numbers, got NaN or infinity"):
+        list(Episodes(one(tmp_path / "d", demo), Choice()))
+
+
+def test_a_robot_of_other_frames_is_refused(tmp_path: Path) -> None:
+    demo, short = Demo(0, 6), Demo(0, 5).robot
+    demo.robot = Robot(short.world_from_gripper, short.gripper_width, short.action, short.action_names)
+    with pytest.raises(BadData, match="gripper_position: expected 6 frames, as the cameras have, got 5"):
+        list(Episodes(one(tmp_path / "d", demo), Choice()))
+
+
+def test_times_that_do_not_grow_are_refused(tmp_path: Path) -> None:
+    demo = Demo(0, 6)
+    demo.time[3] = demo.time[2]
+    with pytest.raises(BadData, match="time: expected each frame later than the one before, got times that are not"):
+        Episodes(one(tmp_path / "d", demo), Choice())
+
+
+def test_one_frame_has_no_rate(tmp_path: Path) -> None:
+    with pytest.raises(BadData, match="time: expected two frames or more, got 1"):
+        Episodes(one(tmp_path / "d", Demo(0, 1)), Choice())
+
+
+def test_a_pause_is_told(tmp_path: Path) -> None:
+    demo = Demo(0, 8)
+    demo.time[4:] += 2.0
+    done = export(one(tmp_path / "d", demo), tmp_path / "out", "parquet", Choice())
+    [note] = done.notes
+    assert note.startswith("a: 1 times between frames are longer than one and a half of the usual 0.1 s")
+
+
+def differing(root: Path, change: str) -> Dataset:
+    dataset, demo = Dataset.create(root), Demo(1)
+    Demo(0).publish(dataset, "a")
+    robot = demo.robot
+    if change == "names":
+        demo.names = ["handle", "knob"]
+    elif change == "actions":
+        demo.robot = Robot(robot.world_from_gripper, robot.gripper_width, robot.action, ("dx", "dy", "dz", "force"))
+    elif change == "no robot":
+        demo.robot = None
+    elif change == "cameras":
+        demo.cameras = ("wrist",)
+    else:
+        demo.size = (8, 8)
+    demo.publish(dataset, "b")
+    return dataset
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ("names", "keypoints: expected handle.x, .*lid.z, as a has, got handle.x, .*knob.z"),
+        ("actions", "action: expected dx, dy, dz, width, as a has, got dx, dy, dz, force"),
+        ("no robot", "gripper_position: expected gripper.x, gripper.y, gripper.z, as a has, got none"),
+        ("cameras", "cameras: expected overhead 24x16, wrist 24x16, as a has, got wrist 24x16"),
+        ("sizes", "cameras: expected overhead 24x16, wrist 24x16, as a has, got overhead 8x8, wrist 8x8"),
+    ],
+)
+def test_demonstrations_that_do_not_fit_together_are_refused(tmp_path: Path, change: str, complaint: str) -> None:
+    dataset = differing(tmp_path / "d", change)
+    with pytest.raises(BadData, match=complaint):
+        Episodes(dataset, Choice(videos=True))
+    assert len(Episodes(dataset, Choice(only=("b",)))) == 1
+
+
+def test_a_robot_that_only_later_demonstrations_have_is_refused(tmp_path: Path) -> None:
+    dataset = differing(tmp_path / "d", "no robot")
+    with pytest.raises(BadData, match="gripper_position: expected none, as b has none, got some"):
+        Episodes(dataset, Choice(validation=("a",)))
+
+
+@pytest.mark.parametrize("format", ["robomimic", "diffusion-policy"])
+def test_without_actions_there_is_no_policy_to_learn(tmp_path: Path, format: FormatName) -> None:
+    demo = Demo()
+    demo.robot = None
+    with pytest.raises(BadData, match="robot/action: expected a record of it, got none"):
+        export(one(tmp_path / "d", demo), tmp_path / NAMES[format], format, Choice())
+
+
+def test_reading_an_episode_reads_no_other(encoded) -> None:
+    episodes = iter(Episodes(encoded[0], Choice()))
+    first = next(episodes)
+    assert (first.entry.name, first.values["keypoints"].shape) == ("a", (12, 6))
+
+
+def cli(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def test_the_command_writes_tells_and_stops_at_what_is_there(encoded, tmp_path: Path) -> None:
+    dataset, _ = encoded
+    out = tmp_path / "kitchen.hdf5"
+    done = cli("export", "robomimic", dataset.root, out, "--noise", "0.02", "--validation", "b", "--json")
+    assert done.exit_code == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["command"] == "export"
+    assert told["splits"] == {"train": ["a", "c"], "validation": ["b"], "test": []}
+    assert told["n_bytes"] == out.stat().st_size
+    assert told["columns"]["keypoints"] == 6
+    assert "made " in done.stderr and "2 for train, 1 for validation; 28 frames" in done.stderr
+    assert "next: python -m robomimic.scripts.get_dataset_info" in done.stderr
+    assert cli("export", "robomimic", dataset.root, out).exit_code == 3
+    assert cli("export", "robomimic", dataset.root, out, "--force").exit_code == 0
+    assert cli("export", "robomimic", dataset.root, tmp_path / "x").exit_code == 2
+    assert cli("export", "parquet", dataset.root, tmp_path / "x", "--variant", "sharp").exit_code == 4
+    assert cli("export", "rosbag", dataset.root, tmp_path / "x").exit_code == 2
+
+
+def test_the_command_knows_every_format() -> None:
+    shown = cli("export", "--help").stdout
+    assert all(name in shown for name in get_args(FormatName))
