@@ -980,7 +980,13 @@ def view(
     every: Annotated[int, typer.Option(min=1, help="Show each so many-th frame.")] = 1,
     pairs: Annotated[int, typer.Option(min=0, help="Most pairs of views whose matches are shown, a scene.")] = 40,
     variant: Annotated[str, typer.Option(help="Of network, heat maps and keypoints.", metavar="NAME")] = "main",
-    force: Annotated[bool, typer.Option("--force", help="Replace FILE.")] = False,
+    video: Annotated[
+        Path | None,
+        typer.Option(
+            help="Instead: keypoints over frames, an mp4 of each demonstration in this folder.", metavar="DIR"
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace files.")] = False,
     json_: Json = False,
 ) -> None:
     """Walk through scenes and demonstrations in the Rerun viewer, or save what it shows."""
@@ -996,6 +1002,9 @@ def view(
     variants = dict.fromkeys(name for kind in kinds for name in dataset.variants(kind))
     if variant not in variants:
         raise UsageError(root, "--variant", expected=f"one of {', '.join(variants)}", got=variant)
+    if video is not None:
+        _write_videos(dataset, video, items, variant, every, force, json_)
+        return
     if port is not None and not web:
         raise UsageError("view", "--port", expected="to come with --web", got="it alone", fix="--web --port N")
     if not (save or web or has_display()):
@@ -1018,6 +1027,19 @@ def view(
             serve(file, port or 9090, say=lambda url: say(f"open {url}  (Ctrl-C ends it)"))
         elif not save:
             show(file)
+
+
+def _write_videos(
+    dataset: Dataset, folder: Path, items: Sequence[str], variant: str, every: int, force: bool, json_: bool
+) -> None:
+    from bask_data.view.video import write_videos
+
+    with shown_progress():
+        files = write_videos(dataset, folder, items, variant=variant, every=every, force=force)
+    for file in files.values():
+        say(f"made {file}")
+    if json_:
+        print(json.dumps({"command": "view", "videos": {name: str(file) for name, file in files.items()}}, indent=2))
 
 
 def _chosen_recordings(dataset: Dataset, only: str) -> list[str]:

@@ -183,25 +183,6 @@ def _distance_to_label(pixel: Float[ndarray, "2"], label: int, labels: UInt8[nda
     return float(np.hypot(u + u_low - pixel[0], v + v_low - pixel[1]).min())
 
 
-def place_elsewhere(
-    points_world: Float[ndarray, "*n 3"],
-    world_from_object: Float[ndarray, "4 4"],
-    elsewhere_from_object: Float[ndarray, "4 4"],
-) -> Float[ndarray, "*n 3"]:
-    """Where points fixed to an object lie in the world of another recording that shows it.
-
-    Args:
-        points_world: metres, world frame of the recording in which the object stands at `world_from_object`.
-        elsewhere_from_object: the same object's transform in the world of the other recording.
-    """
-    return transform(elsewhere_from_object @ invert_rigid(world_from_object), points_world)
-
-
-def position_error(mean: Float[ndarray, "t k 3"], place: Float[ndarray, "k 3"]) -> Float[ndarray, "t k"]:
-    """Metres between keypoints over time and where they truly stand still; NaN where either is unknown."""
-    return np.linalg.norm(mean.astype(np.float64) - place, axis=-1)
-
-
 def spread(covariance: Float[ndarray, "t k 3 3"]) -> Float[ndarray, "t k"]:
     """Metres: the root of the covariance's trace, which is the root mean square distance from the mean."""
     return np.sqrt(np.maximum(np.trace(covariance, axis1=-2, axis2=-1).astype(np.float64), 0.0))

@@ -12,9 +12,11 @@ import numpy as np
 
 from bask_data.artifact import MANIFEST, Artifact, Manifest, read_json
 from bask_data.core import scores
+from bask_data.core.keypoint_scores import distances
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, BaskError
 from bask_data.evaluation.masks import count_masks, label_groups
+from bask_data.evaluation.places import known_of, places_of
 from bask_data.kinds import (
     KINDS,
     Camera,
@@ -31,6 +33,7 @@ from bask_data.kinds import (
     Truth,
     VisibleMasks,
 )
+from bask_data.kinds.places import object_poses, picked_label
 from bask_data.kinds.truth import ROBOT
 
 TOLERANCE_PX = 5.0
@@ -474,16 +477,6 @@ def input_variant(dataset: Dataset, artifact: Artifact, kind: type[A], fallback:
     return find(dataset, kind, "", variant if variant in dataset.variants(kind) else fallback)
 
 
-@dataclass(frozen=True)
-class KnownKeypoint:
-    """What the ground truth knows of one keypoint in a demonstration."""
-
-    label: int
-    """Of the object it was picked on; 0 is background, -1 unknown."""
-    place: np.ndarray
-    """Where it truly is, metres, world frame of the demonstration; NaN where not known."""
-
-
 class TrackScores:
     """A track held against the ground truth of its demonstration, as far as there is one."""
 
@@ -507,24 +500,38 @@ class TrackScores:
         return [by_name.get(name) for name in self.track.names]
 
     @cached_property
-    def known(self) -> list[KnownKeypoint]:
-        """What is known of each keypoint."""
-        return [_known_keypoint(self._dataset, pick, self.truth) for pick in self.picks]
+    def picked_labels(self) -> list[int]:
+        """True label of what each keypoint was picked on: 0 is background, -1 unknown."""
+        picked = [pick for pick in self.picks if pick]
+        known = known_of(self._dataset, picked)
+        here = [pick for pick in picked if pick.recording in known]
+        found = {pick.name: picked_label(pick, known[pick.recording].truth) for pick in here}
+        return [found.get(name, -1) for name in self.track.names]
 
     @cached_property
     def labels(self) -> np.ndarray:
         """Object label of each keypoint; 0 where unknown or background."""
-        return np.array([max(known.label, 0) for known in self.known], dtype=np.int64)
+        return np.array([max(label, 0) for label in self.picked_labels], dtype=np.int64)
 
     @cached_property
     def places(self) -> np.ndarray:
-        """(k, 3) metres, world; NaN where not known."""
-        return np.array([known.place for known in self.known], dtype=np.float64).reshape(-1, 3)
+        """Where each keypoint truly is in each frame (t, k, 3), metres, world; NaN where not known."""
+        n, k = len(self.track.mean), len(self.track.names)
+        places, indices = np.full((n, k, 3), np.nan), [i for i, pick in enumerate(self.picks) if pick]
+        if self.recording is not None and indices:
+            found = places_of(self._dataset, [pick for pick in self.picks if pick], self.recording.path.name)[:n]
+            places[: len(found), indices] = found
+        return places
+
+    @cached_property
+    def with_place(self) -> np.ndarray:
+        """(k,) bool: keypoints whose place is known, in some frame at least."""
+        return np.isfinite(self.places).all(axis=2).any(axis=0)
 
     @cached_property
     def error(self) -> np.ndarray:
         """(t, k) metres; NaN where not known."""
-        return scores.position_error(self.track.mean, self.places)
+        return distances(self.track.mean, self.places)
 
     @cached_property
     def spread(self) -> np.ndarray:
@@ -555,8 +562,8 @@ class TrackScores:
         return [one for landings in self.landings.values() for one in landings]
 
     def why_no_error(self) -> str:
-        """Why there is no error against the static truth, in words; empty when there is one."""
-        if np.isfinite(self.places).all(axis=1).any():
+        """Why there is no error against the truth, in words; empty when there is one."""
+        if self.with_place.any():
             return ""
         if self.truth is None:
             return "there is no ground truth for this demonstration"
@@ -564,7 +571,7 @@ class TrackScores:
             return "the reference keypoints it was made from are gone"
         if not self.labels.any():
             return "the reference keypoints were picked on no labelled object"
-        if not self.truth.metadata.world_from_object:
+        if not object_poses(self.truth):
             return "the ground truth of this demonstration does not say where its objects stand"
         return "no object that a keypoint was picked on has a known place in both recordings"
 
@@ -589,24 +596,6 @@ def _checked(truth: Truth, camera: str, i_frame: int, size: tuple[int, int] | No
     return labels
 
 
-def _known_keypoint(dataset: Dataset, pick: Pick | None, truth: Truth | None) -> KnownKeypoint:
-    unknown = np.full(3, np.nan)
-    picked_in = find_truth(dataset, pick.recording) if pick else None
-    if pick is None or picked_in is None or pick.camera not in picked_in.camera_names:
-        return KnownKeypoint(-1, unknown)
-    try:
-        labels = picked_in.instance(pick.camera, pick.frame)
-    except IndexError:
-        return KnownKeypoint(-1, unknown)
-    label = int(scores.label_at(labels, np.array([[pick.u, pick.v]]))[0])
-    there = picked_in.metadata.world_from_object.get(label)
-    here = truth.metadata.world_from_object.get(label) if truth else None
-    if pick.point_world is None or there is None or here is None:
-        return KnownKeypoint(label, unknown)
-    point = np.array(pick.point_world, dtype=np.float64)
-    return KnownKeypoint(label, scores.place_elsewhere(point, np.array(there, float), np.array(here, float)))
-
-
 def track_figures(dataset: Dataset, measured: Measured, demonstration: str, variant: str) -> dict[str, Any]:
     """How certain, how steady and, where the truth is known, how right the keypoints of a demonstration are."""
     if find(dataset, KeypointTrack, demonstration, variant) is None:
@@ -618,7 +607,7 @@ def figures_of_track(scored: TrackScores) -> dict[str, Any]:
     """The figures of one track."""
     track, truth = scored.track, scored.truth
     error, landings = scored.error, scored.all_landings
-    with_place = np.isfinite(scored.places).all(axis=1)
+    with_place = scored.with_place
     pose_error = truth.metadata.pose_error if truth else {}
     return {
         "filter": track.metadata.filter,
@@ -651,14 +640,14 @@ def _share_below(error: np.ndarray, limit: float) -> float:
 
 
 def _keypoint_row(scored: TrackScores, i: int) -> dict[str, Any]:
-    truth, label = scored.truth, scored.known[i].label
+    truth, label = scored.truth, scored.picked_labels[i]
     pick = scored.picks[i]
     names: dict[int, str] = {}
     if pick is not None:
         picked_in = find_truth(scored._dataset, pick.recording)
         names = picked_in.label_names if picked_in else {}
     names = {**(truth.label_names if truth else {}), **names}
-    chosen = np.arange(len(scored.known)) == i
+    chosen = np.arange(len(scored.picks)) == i
     return {
         "name": scored.track.names[i],
         "object": "unknown" if label < 0 else "background" if label == 0 else names.get(label, f"label {label}"),

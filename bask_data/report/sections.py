@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bask_data.artifact import Artifact
-from bask_data.core.geometry import in_image, invert_rigid, project, scale_pixels, transform
+from bask_data.core.geometry import scale_pixels
 from bask_data.dataset import Dataset
 from bask_data.kinds import (
     Correspondences,
@@ -31,6 +31,7 @@ from bask_data.kinds import (
 from bask_data.report import figures
 from bask_data.report import pictures as draw
 from bask_data.report.figures import Measured, TrackScores, find, find_recording, find_truth, spread_frames
+from bask_data.report.marks import N_TRAIL, track_marks
 from bask_data.report.points import frame_of
 
 N_ITEMS = 3
@@ -38,7 +39,6 @@ N_ITEMS = 3
 N_ROWS = 32
 N_CAMERAS = 3
 N_MATCHES = 30
-N_TRAIL = 15
 TILE, PICTURE, WIDE = 320, 480, 1100
 FIRST, LAST = (80, 220, 120), (240, 70, 90)
 BAD = "#e0453a"
@@ -771,11 +771,6 @@ def tracks(chosen: Chosen) -> list[Part]:
     return [{"title": "", "compared": compared}, *parts] if len(compared) > 1 else parts
 
 
-def _pixels(points_world: np.ndarray, camera: Any, i_frame: int) -> np.ndarray:
-    camera_from_world = invert_rigid(camera.world_from_cameras[i_frame])
-    return project(transform(camera_from_world, points_world.astype(np.float64)), camera.K)[0]
-
-
 def _strips(scored: TrackScores, colours: list[draw.Colour], n_frames: int) -> list[Part]:
     """A strip of frames per camera, with keypoints, trails, one-sigma ellipses and true places."""
     recording = scored.recording
@@ -789,48 +784,11 @@ def _strips(scored: TrackScores, colours: list[draw.Colour], n_frames: int) -> l
         pixel, observed = scored.track.pixel(name), scored.track.observed(name)
         tiles = []
         for i_frame in spread_frames(min(camera.n_frames, len(pixel)), n_frames):
-            marks = _track_marks(scored, camera, i_frame, pixel[i_frame], observed[i_frame], colours)
+            marks = track_marks(scored, camera, i_frame, pixel[i_frame], observed[i_frame], colours)
             uri = draw.jpeg_uri(draw.marks_picture(camera.rgb(i_frame), marks, PICTURE))
             tiles.append({"uri": uri, "text": f"frame {i_frame}"})
         strips.append({"camera": name, "tiles": tiles})
     return strips
-
-
-def _track_marks(
-    scored: TrackScores,
-    camera: Any,
-    i_frame: int,
-    pixel: np.ndarray,
-    observed: np.ndarray,
-    colours: list[draw.Colour],
-) -> list[draw.Mark]:
-    mean, covariance = scored.track.mean, scored.track.covariance[i_frame]
-    truth = _pixels(scored.places, camera, i_frame)
-    truth[~in_image(truth, camera.height, camera.width)] = np.nan
-    jacobian = _image_jacobian(mean[i_frame].astype(np.float64), camera, i_frame)
-    in_pixels = jacobian @ covariance @ np.swapaxes(jacobian, 1, 2)
-    first = max(i_frame - N_TRAIL, 0)
-    return [
-        draw.Mark(
-            number=i + 1,
-            pixel=pixel[i],
-            colour=colours[i],
-            seen=bool(observed[i]),
-            trail=_pixels(mean[first : i_frame + 1, i], camera, i_frame),
-            covariance=in_pixels[i],
-            truth=truth[i],
-        )
-        for i in range(len(colours))
-    ]
-
-
-def _image_jacobian(points_world: np.ndarray, camera: Any, i_frame: int) -> np.ndarray:
-    """(k, 2, 3): how pixels move with world points."""
-    camera_from_world = invert_rigid(camera.world_from_cameras[i_frame])
-    x, y, z = transform(camera_from_world, points_world).T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rows = [[1 / z, np.zeros_like(z), -x / z**2], [np.zeros_like(z), 1 / z, -y / z**2]]
-    return camera.K[:2, :2] @ np.moveaxis(np.array(rows), 2, 0) @ camera_from_world[:3, :3]
 
 
 def _track_plots(scored: TrackScores, colours: list[draw.Colour]) -> list[Part]:
@@ -838,7 +796,7 @@ def _track_plots(scored: TrackScores, colours: list[draw.Colour]) -> list[Part]:
     if not scored.why_no_error():
         plots.append(
             {
-                "title": "Error against the static truth",
+                "title": "Error against the truth",
                 "svg": _over_time(scored.error * 1000, colours, "error, mm"),
                 "caption": "Distance between each keypoint's mean and its true place; the thick line is their median.",
             }

@@ -19,8 +19,6 @@ from bask_data.core.scores import (
     object_shares,
     overlap,
     paired_instances,
-    place_elsewhere,
-    position_error,
     spread,
     step_length,
     true_depth,
@@ -161,24 +159,6 @@ def test_shares_of_chosen_keypoints_are_theirs_alone():
 def test_a_negative_tolerance_is_refused():
     with pytest.raises(ValueError, match="tolerance_px: expected >= 0 pixels, got -1"):
         landing(np.zeros((1, 2)), np.array([1]), np.ones((2, 2), np.uint8), -1.0)
-
-
-@given(SEEDS)
-def test_a_point_keeps_its_place_on_its_object(seed):
-    rng = np.random.default_rng(seed)
-    here, there, points = rigid(rng), rigid(rng), rng.normal(size=(5, 3))
-    assert place_elsewhere(transform(here, points), here, there) == pytest.approx(transform(there, points))
-
-
-def test_error_is_the_distance_and_unknown_where_truth_or_track_is():
-    mean = np.zeros((2, 3, 3), np.float32)
-    mean[1, 1] = np.nan
-    place = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 1.0], [np.nan] * 3])
-    error = position_error(mean, place)
-    assert error[:, 0].tolist() == [5.0, 5.0]
-    assert error[0, 1] == 1.0
-    assert np.isnan(error[1, 1])
-    assert np.isnan(error[:, 2]).all()
 
 
 def test_spread_is_the_root_mean_square_distance_of_samples_from_their_mean():
