@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-from bask_data.artifact import SCRATCH, list_files, new_scratch, publish, recover
+from bask_data.artifact import SCRATCH, list_files, new_scratch, publish, read_json, recover
 from bask_data.dataset import Dataset
 from bask_data.errors import BaskError, UsageError, WouldOverwrite
 from bask_data.export.episodes import SPLITS, Choice, Episodes
@@ -21,7 +21,7 @@ __all__ = ["DESCRIPTION", "Choice", "Exported", "FormatName", "export"]
 FormatName = Literal["parquet", "lerobot", "robomimic", "diffusion-policy"]
 
 DESCRIPTION = "bask.json"
-"""File in every exported folder that says what its numbers mean; by it, an export is known as one."""
+"""File in an exported folder that says what its numbers mean."""
 
 HDF5 = (".hdf5", ".h5")
 
@@ -112,10 +112,16 @@ def _refuse(out: Path, format: FormatName, force: bool) -> None:
     if not force:
         raise WouldOverwrite(out, "", expected="nothing", got="something", fix="--force replaces an export.")
     is_file = format == "robomimic"
-    known = out.is_file() and out.suffix in HDF5 if is_file else (out / DESCRIPTION).is_file()
+    known = out.is_file() and out.suffix in HDF5 if is_file else _is_described(out)
     if not known or out.is_symlink():
-        expected = "a robomimic file" if is_file else f"an exported folder, with {DESCRIPTION} in it"
+        expected = "a robomimic file" if is_file else "an exported folder"
         raise UsageError(out, "--force", expected=expected, got="something else", fix="choose another OUT.")
+
+
+def _is_described(folder: Path) -> bool:
+    """Whether it says that it was exported; Zarr, which knows no files but its own, says so in its attributes."""
+    attributes = folder / ".zattrs"
+    return (folder / DESCRIPTION).is_file() or (attributes.is_file() and "bask" in read_json(attributes))
 
 
 def _gaps(episodes: Episodes) -> list[str]:

@@ -6,7 +6,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bask_data.export import write_description
 from bask_data.export.episodes import SPLITS, Column, Episodes
 from bask_data.export.images import blocks
 from bask_data.progress import progress
@@ -26,8 +25,7 @@ def write(out: Path, episodes: Episodes) -> list[str]:
     episodes.require("action")
     root = zarr.open_group(str(out), mode="w", zarr_format=2)
     data, meta = root.create_group("data"), root.create_group("meta")
-    described = episodes.described("diffusion-policy")
-    root.attrs["bask"] = described
+    root.attrs["bask"] = episodes.described("diffusion-policy")
     state = Column("state", tuple(name for column in episodes.state for name in column.values), "float32", _STATE)
     appenders = {column.name: _appender(data, column, episodes.n_frames) for column in [*episodes.columns, state]}
     for name, size in episodes.cameras.items():
@@ -46,7 +44,6 @@ def write(out: Path, episodes: Episodes) -> list[str]:
     _whole(meta, "episode_ends", ends.astype(np.int64), "Number of the first frame that is not of the episode.")
     of = np.array([SPLITS.index(entry.split) for entry in episodes.entries], dtype=np.int64)
     _whole(meta, "episode_split", of, f"Number of the episode's split among {', '.join(SPLITS)}.")
-    write_description(out, described)
     return []
 
 

@@ -90,13 +90,23 @@ def rate(episodes: Episodes) -> tuple[float, list[str]]:
 
 def _columns(episodes: Episodes) -> list[Column]:
     """LeRobot's names: what begins with `observation` or is `action` goes to the policy, the rest stays beside it."""
-    values = tuple(name for column in episodes.state for name in column.values)
-    state = Column("observation.state", values, "float32", "Keypoints, their spread, gripper.")
+    everything = tuple(name for column in episodes.state for name in column.values)
+    state = Column("observation.state", everything, "float32", "Keypoints, their spread, gripper.")
+    # ACT and Diffusion refuse to learn from a state alone: they want images, or the environment's state beside it.
+    around = tuple(name for column in episodes.state if column.name in _AROUND for name in column.values)
+    environment = Column("observation.environment_state", around, "float32", "Keypoints and their spread again.")
     action = [episodes.column("action")] if episodes.has("action") else []
     beside = [episodes.column(name) for name in ("observed", "localised", "time")]
-    return [state, *action, *(Column(_BESIDE[c.name], c.values, c.dtype, c.description) for c in beside), *NUMBERING]
+    return [
+        state,
+        environment,
+        *action,
+        *(Column(_BESIDE[c.name], c.values, c.dtype, c.description) for c in beside),
+        *NUMBERING,
+    ]
 
 
+_AROUND = ("keypoints", "spread")
 _BESIDE = {"observed": "keypoints.observed", "localised": "keypoints.localised", "time": "recorded_time"}
 
 
@@ -106,6 +116,7 @@ def _numbered(episode: Episode, i: int, begin: int, task: int, fps: float) -> di
     number = np.arange(episode.entry.n_frames)
     return {
         "observation.state": episode.state,
+        "observation.environment_state": np.concatenate([episode.values[name] for name in _AROUND], axis=1),
         **({"action": episode.values["action"]} if "action" in episode.values else {}),
         **{name: episode.values[of] for of, name in _BESIDE.items()},
         "timestamp": (number / fps).astype(np.float32),
@@ -311,11 +322,22 @@ def _write_meta(
     _write_json(meta / "info.json", info)
     _write_json(meta / "stats.json", {name: merged_stats([one[name] for one in stats]) for name in stats[0]})
     pq.write_table(pa.Table.from_pylist(rows), meta / "episodes" / "chunk-000" / "file-000.parquet")
-    # LeRobot reads the tasks as a pandas table whose index they are; pandas finds that in the schema.
-    index = {"index_columns": ["task"], "column_indexes": [], "columns": [], "pandas_version": "2.0.0"}
-    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
-    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(index)}), meta / "tasks.parquet")
+    _write_tasks(meta / "tasks.parquet", tasks)
     write_description(out, episodes.described("lerobot"))
+
+
+def _write_tasks(file: Path, tasks: list[str]) -> None:
+    """LeRobot reads the tasks as a pandas table whose index they are; which column that is, pandas finds here."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = [
+        {"name": name, "field_name": name, "pandas_type": pandas, "numpy_type": numpy, "metadata": None}
+        for name, pandas, numpy in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+    ]
+    says = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
+    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
+    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(says)}), file)
 
 
 def _tasks(episodes: Episodes) -> list[str]:

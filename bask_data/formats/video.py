@@ -15,8 +15,8 @@ from numpy import ndarray
 
 from bask_data.errors import BaskError, MissingDependency
 
-BT_709 = 1
-"""FFmpeg's number of the colour space, the primaries and the transfer curve of high-definition video."""
+BT_709, BT_601 = 1, 6
+"""FFmpeg's numbers of the colours of high-definition video and of what is older."""
 
 
 def import_av() -> ModuleType:
@@ -123,7 +123,7 @@ class VideoWriter:
         height, width = self.coded_size
         padded = np.pad(rgb, ((0, height - self.size[0]), (0, width - self.size[1]), (0, 0)), mode="edge")
         frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(padded), format="rgb24")
-        frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        frame = frame.reformat(format="yuv420p", dst_colorspace="ITU601", dst_color_range="MPEG")
         frame.pts, frame.time_base = self.n_frames, 1 / self.fps
         try:
             self._container.mux(self._stream.encode(frame))
@@ -137,7 +137,10 @@ class VideoWriter:
         stream.pix_fmt = "yuv420p"
         stream.time_base = 1 / self.fps
         context = stream.codec_context
-        context.color_primaries = context.color_trc = context.colorspace = BT_709
+        # Players read how colours are coded; what reads frames for a network (torchvision, PyAV) takes the older way
+        # for granted. So that is the one written, and said.
+        context.color_primaries = context.color_trc = BT_709
+        context.colorspace = BT_601
         context.color_range = 1  # 16 to 235, as in nearly every video
         context.gop_size = self._keyframe_every
         # x264 splits its work by the number of threads, and a machine's would be in the bytes.

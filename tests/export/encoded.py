@@ -30,16 +30,16 @@ def picture(i: int, camera: str = "wrist") -> np.ndarray:
     """A picture whose every number depends on the frame."""
     v, u = np.mgrid[: SIZE[0], : SIZE[1]]
     blue = np.full(SIZE, 60 if camera == "wrist" else 200)
-    return np.stack([8 * (u + i) % 256, 5 * v + 40, blue], axis=-1).astype(np.uint8)
+    return np.stack([100 + 60 * np.sin((u + i) / 4), 5 * v + 40, blue], axis=-1).astype(np.uint8)
 
 
 class Demo:
     """What a demonstration holds; all of it can be changed before it is published."""
 
-    def __init__(self, seed: int = 0, n_frames: int = 12) -> None:
+    def __init__(self, seed: int = 0, n_frames: int = 12, cameras: Sequence[str] = ("wrist",)) -> None:
         rng = np.random.default_rng(seed)
         n, k = n_frames, len(KEYPOINTS)
-        self.cameras: Sequence[str] = ("overhead", "wrist")
+        self.cameras = cameras
         self.size = SIZE
         self.time = 5.0 + np.arange(n) / 10.0
         grippers = rotations(n)
@@ -97,7 +97,8 @@ class Demo:
 def exported_dataset(root: Path) -> tuple[Dataset, dict[str, Demo]]:
     """Three demonstrations of different lengths, the second of another task."""
     dataset = Dataset.create(root, name="kitchen", licence="CC0")
-    demos = {"a": Demo(0, 12), "b": Demo(1, 7), "c": Demo(2, 9)}
+    cameras = "overhead", "wrist"
+    demos = {"a": Demo(0, 12, cameras), "b": Demo(1, 7, cameras), "c": Demo(2, 9, cameras)}
     for name, demo in demos.items():
         demo.publish(dataset, name, task="stir" if name == "b" else "put the lid on")
     return dataset, demos
