@@ -58,5 +58,5 @@ def _built(kind: Any, place: str, arrays: Mapping[str, ndarray]) -> Any:
         return kind(**{one.name: _built(hints[one.name], f"{place}.{one.name}", arrays) for one in fields(kind)})  # type: ignore[operator]
     if get_origin(kind) is tuple:
         of = get_args(kind)[0]
-        return tuple(_built(of, f"{place}.{i}", arrays) for i in range(int(arrays[f"{place}.{_LENGTH}"])))
+        return tuple(_built(of, f"{place}.{i}", arrays) for i in range(int(arrays[f"{place}.{_LENGTH}"].item())))
     return arrays[place]

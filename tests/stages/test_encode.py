@@ -1,122 +1,40 @@
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
-from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
 
-from bask_data.core.geometry import pixel_grid, project, transform, unproject
-from bask_data.dataset import Dataset, Source
-from bask_data.errors import BadData
-from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Robot
-from bask_data.stage import make, plan
-from bask_data.stages.encode import encode
-from tests import scenes
+from bask_data import progress
+from bask_data.artifact import read_manifest
+from bask_data.core.bayes_filter import DiscreteSettings, ParticleSettings
+from bask_data.core.geometry import project
+from bask_data.dataset import Dataset
+from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Robot, Truth, arrays
+from bask_data.kinds.truth import TruthMetadata
+from bask_data.stage import make, plan, state_of
+from bask_data.stages.encode import EncodeParams, encode, settings_of
+from bask_data.tracker import KeypointTracker
 from tests.datasets import publish_artifact
+from tests.tracked import (
+    HEIGHT,
+    LABELS,
+    N_FRAMES,
+    WIDTH,
+    ColourNetwork,
+    K,
+    dataset_of,
+    frames,
+    keypoints,
+    poses,
+    publish_network,
+    publish_references,
+    side_poses,
+)
 
 GOLDEN = Path(__file__).parent / "golden"
-HEIGHT, WIDTH, HALF = 96, 128, 0.6
-K = scenes.intrinsics(HEIGHT, WIDTH, 50.0)
-N_FRAMES = 12
 ARRAYS = ("mean", "covariance", "mode", "n_eff", "log_evidence")
-
-
-def colour_of(points_world: np.ndarray) -> np.ndarray:
-    """The world as its own descriptor: coordinates from -HALF to HALF, in steps of 5 mm, are the colour."""
-    return np.clip(np.round((points_world / HALF + 1) / 2 * 255), 0, 255).astype(np.uint8)
-
-
-def frames(world_from_cameras: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    scene = scenes.tabletop(3, seed=4)
-    rgb, depth = [], []
-    for world_from_camera in world_from_cameras:
-        view = scene.render(K, world_from_camera, HEIGHT, WIDTH)
-        points = unproject(pixel_grid(HEIGHT, WIDTH), view.depth.astype(np.float64), K)
-        colours = colour_of(transform(world_from_camera, points))
-        rgb.append(np.where(view.depth[..., None] > 0, colours, np.uint8(0)))
-        depth.append(view.depth)
-    return rgb, depth
-
-
-def keypoints() -> np.ndarray:
-    """The middle of the top of each object, as the first camera sees it."""
-    scene, first = scenes.tabletop(3, seed=4), poses()[0]
-    view = scene.render(K, first, HEIGHT, WIDTH)
-    seen = transform(first, unproject(pixel_grid(HEIGHT, WIDTH), view.depth.astype(np.float64), K))
-    points = []
-    for i_object in (1, 2, 3):
-        mine = seen[view.instance == i_object]
-        top = mine[mine[:, 2] > mine[:, 2].max() - 0.003]
-        points.append(top[np.linalg.norm(top - top.mean(axis=0), axis=1).argmin()])
-    return np.array(points)
-
-
-def poses() -> np.ndarray:
-    """Around the table, away from it in the middle, and back."""
-    cameras = scenes.orbit(N_FRAMES, elevation_deg=(50.0, 60.0), n_turns=0.3)
-    for i in range(6, 9):
-        cameras[i] = scenes.look_at(cameras[i][:3, 3], cameras[i][:3, 3] * [3, 3, -1])
-    return cameras
-
-
-def dataset_of(root: Path, cameras: dict[str, np.ndarray], robot: Robot | None = None) -> Dataset:
-    dataset = Dataset.create(root)
-    dataset.add("demonstration", "reach", Source(format="test", path="none"))
-
-    def fill(out: Path) -> None:
-        group = Demonstration.start(out, "test", {})
-        for name, world_from_cameras in cameras.items():
-            rgb, depth = frames(world_from_cameras)
-            Demonstration.write_camera(
-                group,
-                name,
-                K=K,
-                world_from_cameras=world_from_cameras,
-                time=np.arange(len(rgb)) / 30.0,
-                depth_scale=0.0001,
-                size=(HEIGHT, WIDTH),
-                read=lambda i, rgb=rgb, depth=depth: (rgb[i], np.round(depth[i] * 1e4).astype(np.uint16)),
-            )
-        if robot:
-            Demonstration.write_robot(out, group, robot)
-
-    def weights(out: Path) -> None:
-        DescriptorNet.write(out, validated_on="nothing", metrics={}, curve=[])
-        (out / "weights.safetensors").write_bytes(b"")
-        (out / "model.json").write_text("{}")
-
-    publish_artifact(dataset, Demonstration, "reach", fill)
-    publish_artifact(dataset, DescriptorNet, "", weights)
-    picks = [Pick(name=f"k{i}", recording="reach", camera="wrist", frame=0, u=0, v=0) for i in range(3)]
-    references = colour_of(keypoints()).astype(np.float32)
-    publish_artifact(
-        dataset,
-        ReferenceKeypoints,
-        "",
-        lambda out: ReferenceKeypoints.write(out, descriptors=references, picks=picks),
-    )
-    return dataset
-
-
-class ColourNetwork:
-    """Describes every pixel by its colour."""
-
-    settings = SimpleNamespace(descriptor_dim=3)
-
-    def __init__(self) -> None:
-        self.n_images = 0
-
-    def distance_maps(self, images: np.ndarray, references: np.ndarray) -> np.ndarray:
-        self.n_images += len(images)
-        away = images.astype(np.float32)[:, None] - references[None, :, None, None]
-        metres = np.linalg.norm(away, axis=-1) / 255 * 2 * HALF
-        z = (1 - np.exp(-((metres / 0.05) ** 2) / 2)).astype(np.float32)
-        # At half the size of the image, as a network would.
-        size = (WIDTH // 2, HEIGHT // 2)
-        small = [[cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in maps] for maps in z]
-        return np.array(small)
 
 
 @pytest.fixture(autouse=True)
@@ -133,9 +51,19 @@ def tracked(dataset: Dataset, **options: object) -> KeypointTrack:
     return KeypointTrack(dataset.path(KeypointTrack, "reach", "main"))
 
 
+def why_not(dataset: Dataset, **options: object) -> str:
+    [task] = plan(dataset, encode, options=options)
+    outcome = make(task)
+    assert outcome.status in ("failed", "blocked")
+    return outcome.why
+
+
+# Keypoints ------------------------------------------------------------------------------------------------------------
+
+
 def test_keypoints_are_followed_around_away_from_and_back_to_the_table(tmp_path: Path) -> None:
     track = tracked(dataset_of(tmp_path / "d", {"wrist": poses()}))
-    error = np.linalg.norm(track.mean - keypoints(), axis=-1)
+    error = np.linalg.norm(track.mean - keypoints()[1], axis=-1)
     assert track.names == ["k0", "k1", "k2"]
     assert np.median(error[2:6]) < 0.01
     assert error[6:9].max() < 0.03
@@ -177,30 +105,276 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(tmp_path: Path)
     assert not np.array_equal(first, tracked(dataset, seed=3, n_particles=200).mean)
 
 
-def test_all_cameras_are_used(tmp_path: Path) -> None:
-    other = scenes.orbit(N_FRAMES, elevation_deg=(60.0, 65.0), n_turns=-0.4)
-    track = tracked(dataset_of(tmp_path / "d", {"side": other, "wrist": poses()}))
+def test_all_cameras_are_used_or_those_asked_for(tmp_path: Path) -> None:
+    dataset = dataset_of(tmp_path / "d", {"side": side_poses(), "wrist": poses()})
+    track = tracked(dataset)
     assert track.observed("side")[6:9].mean() > 0.5
-    assert np.median(np.linalg.norm(track.mean - keypoints(), axis=-1)[6:9]) < 0.01
+    assert np.median(np.linalg.norm(track.mean - keypoints()[1], axis=-1)[6:9]) < 0.01
+    assert tracked(dataset, cameras=("wrist",)).camera_names == ["wrist"]
+    assert "cameras: expected some of side, wrist, got front" in why_not(dataset, cameras=("front",))
 
 
 def test_a_gripper_far_from_the_keypoints_moves_none_of_them(tmp_path: Path) -> None:
     grippers = np.tile(np.eye(4), (N_FRAMES, 1, 1))
     grippers[:, :3, 3] = np.array([5.0, 5.0, 5.0]) + 0.02 * np.arange(N_FRAMES)[:, None]
     track = tracked(dataset_of(tmp_path / "d", {"wrist": poses()}, Robot(world_from_gripper=grippers)))
-    assert np.linalg.norm(track.mean - keypoints(), axis=-1)[6:9].max() < 0.03
+    assert np.linalg.norm(track.mean - keypoints()[1], axis=-1)[6:9].max() < 0.03
+
+
+def test_frames_that_are_dropped_cost_the_particle_filter_little(tmp_path: Path, network: ColourNetwork) -> None:
+    dataset = dataset_of(tmp_path / "d", {"side": side_poses(), "wrist": poses()})
+    track = tracked(dataset, dropout=0.5)
+    assert 6 <= network.n_images <= 18
+    blind = np.isnan(track.pixel("side")[:, 0, 0]) & np.isnan(track.pixel("wrist")[:, 0, 0])
+    assert blind.any()
+    assert np.linalg.norm(track.mean - keypoints()[1], axis=-1)[3:].max() < 0.03
+
+
+# Settings and keys ----------------------------------------------------------------------------------------------------
+
+
+def test_settings_have_names_and_options_go_before_them() -> None:
+    assert settings_of(EncodeParams()) == ParticleSettings()
+    code = settings_of(EncodeParams(settings="code", walk=0.5, cell=3))
+    assert isinstance(code, ParticleSettings)
+    assert (code.n_particles, code.walk) == (250, 0.5)
+    assert settings_of(EncodeParams(filter="discrete", cell=3, n_particles=10)) == DiscreteSettings(cell=3)
+
+
+def test_what_a_track_depends_on_is_never_served_stale(tmp_path: Path) -> None:
+    dataset = dataset_of(tmp_path / "d", {"wrist": poses()})
+    tracked(dataset)
+
+    def state(**options: object) -> tuple[str, str]:
+        [task] = plan(dataset, encode, options=options)
+        found = state_of(task)
+        return found.status, found.why
+
+    assert state() == ("up to date", "")
+    others = {"filter": "discrete", "settings": "code", "cameras": ("wrist",), "alpha": 5.0, "tau": 0.1, "cell": 2}
+    others |= {"n_particles": 100, "walk": 0.1, "walk_px": 2.0, "gripper_probability": 0.1, "gripper_reach": 1.0}
+    others |= {"dropout": 0.1, "seed": 5}
+    assert {*others, "source"} == {*EncodeParams.model_fields}
+    for name, value in others.items():
+        assert state(**{name: value})[1].startswith(f"changed: {name} "), name
+    publish_references(dataset, shift=1.0)
+    assert state() == ("stale", "changed: reference/main")
+    tracked(dataset)
+    publish_network(dataset, b"other weights")
+    assert state() == ("stale", "changed: descriptor/main")
 
 
 def test_a_robot_with_another_number_of_frames_is_refused(tmp_path: Path) -> None:
     grippers = np.tile(np.eye(4), (N_FRAMES - 2, 1, 1))
-    [task] = plan(dataset_of(tmp_path / "d", {"wrist": poses()}, Robot(world_from_gripper=grippers)), encode)
-    outcome = make(task)
-    assert outcome.status == "failed"
-    assert "robot/world_from_gripper: expected one transform for each of the 12 frames, got 10" in outcome.why
+    dataset = dataset_of(tmp_path / "d", {"wrist": poses()}, Robot(world_from_gripper=grippers))
+    assert "robot/world_from_gripper: expected one transform for each of the 12 frames, got 10" in why_not(dataset)
 
 
 def test_cameras_with_different_numbers_of_frames_are_refused(tmp_path: Path) -> None:
-    [task] = plan(dataset_of(tmp_path / "d", {"side": poses()[:5], "wrist": poses()}), encode)
-    outcome = make(task)
-    assert outcome.status == "failed"
-    assert "camera wrist: expected as many frames as camera side (5), got 12" in outcome.why
+    dataset = dataset_of(tmp_path / "d", {"side": poses()[:5], "wrist": poses()})
+    assert "camera wrist: expected as many frames as camera side (5), got 12" in why_not(dataset)
+
+
+# Any length -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("filter", ["expectation", "discrete", "particle"])
+@pytest.mark.parametrize("where", ["describing", "saving"])
+def test_an_interrupted_track_goes_on_with_the_same_bytes(
+    tmp_path: Path, network: ColourNetwork, monkeypatch: pytest.MonkeyPatch, filter: str, where: str
+) -> None:
+    monkeypatch.setattr(arrays, "CHUNK_ROWS", 4)
+    grippers = np.tile(np.eye(4), (N_FRAMES, 1, 1))
+    grippers[:, 0, 3] = 0.02 * np.arange(N_FRAMES)
+    robot = Robot(world_from_gripper=grippers)
+    whole, cut = (dataset_of(tmp_path / name, {"wrist": poses()}, robot) for name in ("whole", "cut"))
+    options = {"filter": filter, "n_particles": 100}
+    tracked(whole, **options)
+    [task] = plan(cut, encode, options=options)
+    with monkeypatch.context() as broken:
+        _break_after_eight_frames(broken, network, where)
+        with pytest.raises(KeyboardInterrupt):
+            make(task)
+    (scratch,) = (tmp_path / "cut" / ".scratch").glob("resume~keypoints~*~reach~*[0-9a-f]")
+    # What a kill leaves of files that were being written.
+    (scratch / "state.safetensors.part").write_bytes(b"half")
+    (scratch / "mean" / "zarr.1234.partial").write_bytes(b"half")
+    network.n_images = 0
+    tracked(cut, **options)
+    assert network.n_images == (4 if where == "describing" else 8)
+    made = [read_manifest(one.path(KeypointTrack, "reach")).files for one in (whole, cut)]
+    assert made[0] == made[1]
+    assert not any("state" in name or "part" in name for name in made[1])
+
+
+def _break_after_eight_frames(broken: pytest.MonkeyPatch, network: ColourNetwork, where: str) -> None:
+    """Two chunks are on disk, and the state of the filter then or before it."""
+    if where == "describing":
+        describe, already = network.distance_maps, network.n_images
+
+        def distance_maps(images: np.ndarray, references: np.ndarray) -> np.ndarray:
+            if network.n_images - already == 10:
+                raise KeyboardInterrupt
+            return describe(images, references)
+
+        broken.setattr(network, "distance_maps", distance_maps)
+        return
+    save = KeypointTracker.save
+
+    def half_saved(self: KeypointTracker, file: Path) -> None:
+        if self.n_steps == 8:
+            raise KeyboardInterrupt
+        save(self, file)
+
+    broken.setattr(KeypointTracker, "save", half_saved)
+
+
+def test_what_another_attempt_left_without_a_state_is_not_gone_on_with(tmp_path: Path) -> None:
+    dataset = dataset_of(tmp_path / "d", {"wrist": poses()})
+    out = tmp_path / "out"
+    (out / "mean" / "c").mkdir(parents=True)
+    (out / "mean" / "c" / "0").write_bytes(b"old")
+    (out / "other").write_bytes(b"old")
+    inputs = (
+        Demonstration(dataset.path(Demonstration, "reach")),
+        DescriptorNet(dataset.path(DescriptorNet)),
+        ReferenceKeypoints(dataset.path(ReferenceKeypoints)),
+    )
+    encode(*inputs, truths=[], params=EncodeParams(n_particles=100), out=out)
+    assert not (out / "other").exists()
+    assert np.isfinite(KeypointTrack(out).mean).all()
+
+
+def test_memory_does_not_grow_with_the_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    size, n_keypoints, lengths = (8, 8), 256, (12, 48)
+    monkeypatch.setattr(arrays, "CHUNK_ROWS", 8)
+    dataset = dataset_of(tmp_path / "d", {"wrist": poses()})
+    tracked(dataset, filter="expectation")  # What is imported stays.
+    picks = ReferenceKeypoints(dataset.path(ReferenceKeypoints)).picks
+    many = [picks[0].model_copy(update={"name": f"k{i}"}) for i in range(n_keypoints)]
+    ReferenceKeypoints.write(tmp_path / "r", descriptors=np.zeros((n_keypoints, 3), np.float32), picks=many)
+    peaks = []
+    for n in lengths:
+        group = Demonstration.start(tmp_path / f"demonstration{n}", "test", {})
+        image = np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8), np.full(size, 9000, np.uint16)
+        transforms = {"K": K, "world_from_cameras": np.tile(np.eye(4), (n, 1, 1)), "time": np.arange(n) / 30}
+        Demonstration.write_camera(
+            group, "wrist", **transforms, depth_scale=1e-4, size=size, read=lambda i, image=image: image
+        )
+        inputs = (
+            Demonstration(tmp_path / f"demonstration{n}"),
+            DescriptorNet(tmp_path),
+            ReferenceKeypoints(tmp_path / "r"),
+        )
+        (tmp_path / f"out{n}").mkdir()
+        tracemalloc.start()
+        encode(*inputs, truths=[], params=EncodeParams(filter="expectation"), out=tmp_path / f"out{n}")
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    # A frame of the track takes 39 kB. Python's own garbage makes peaks differ by a few hundred.
+    assert (peaks[1] - peaks[0]) / (lengths[1] - lengths[0]) < 15_000
+
+
+def test_it_tells_how_many_frames_a_second_it_did(tmp_path: Path) -> None:
+    dataset, heard, told = dataset_of(tmp_path / "d", {"wrist": poses()}), [], []
+    progress.listen(lambda label, done, total: told.append((label, done, total)), heard.append)
+    try:
+        tracked(dataset, filter="expectation")
+    finally:
+        progress.listen(None)
+    assert ("tracking keypoints", N_FRAMES, N_FRAMES) in told
+    assert len(heard) == 1 and heard[0].startswith("12 frames of 1 cameras in ") and heard[0].endswith(" a second")
+
+
+# Truth ----------------------------------------------------------------------------------------------------------------
+
+
+def shifts() -> np.ndarray:
+    """How far the first object has gone in each frame, as truth says (t, 3): nothing else knows that it moved."""
+    return 0.01 * np.arange(N_FRAMES)[:, None] * np.array([1.0, 0.0, 0.0])
+
+
+def publish_truth(dataset: Dataset, labels: tuple[int, ...] = LABELS) -> None:
+    _, depth, instance = frames(poses())
+    world_from_objects = np.tile(np.eye(4), (N_FRAMES, len(labels), 1, 1))
+    if labels:
+        world_from_objects[:, 0, :3, 3] = shifts()
+
+    def fill(out: Path) -> None:
+        names = {label: f"object {label}" for label in LABELS}
+        metadata = TruthMetadata(label_names=names, object_labels=list(labels))
+        with Truth.writer(out, metadata, world_from_objects) as writer:
+            camera = writer.camera("wrist", N_FRAMES, (HEIGHT, WIDTH), 1e-4)
+            for i, pose in enumerate(poses()):
+                camera.append(instance[i], np.round(depth[i] * 1e4).astype(np.uint16), pose)
+
+    publish_artifact(dataset, Truth, "reach", fill)
+
+
+def test_true_keypoints_go_where_their_objects_go(tmp_path: Path, network: ColourNetwork) -> None:
+    dataset = dataset_of(tmp_path / "d", {"wrist": poses()}, has_truth=True)
+    publish_truth(dataset)
+    track = tracked(dataset, source="truth")
+    expected = np.tile(keypoints()[1], (N_FRAMES, 1, 1))
+    expected[:, 0] += shifts()
+    np.testing.assert_allclose(track.mean, expected, atol=2e-4)
+    np.testing.assert_array_equal(track.mode, track.mean)
+    assert track.metadata.filter == "truth" and network.n_images == 0
+    assert not track.covariance.any() and not track.log_evidence.any() and (track.n_eff == 1).all()
+    for i in (0, 3, 11):
+        uv, _ = project((expected[i] - poses()[i][:3, 3]) @ poses()[i][:3, :3], K)
+        np.testing.assert_allclose(track.pixel("wrist")[i], uv, atol=0.1)
+    assert track.observed("wrist")[0].all() and not track.observed("wrist")[6:9].any()
+
+
+def test_a_true_keypoint_behind_something_is_not_observed(tmp_path: Path) -> None:
+    dataset = dataset_of(tmp_path / "d", {"wrist": poses()}, has_truth=True)
+    publish_truth(dataset)
+    by_depth = tracked(dataset, source="truth").observed("wrist")[:, 0]
+    # The first object's keypoint moves to the right within the table's plane, and by and by into what stands there.
+    points = keypoints()[1][0] + shifts()
+    _, depth, _ = frames(poses())
+    for i, point in enumerate(points):
+        uv, z = project((point - poses()[i][:3, 3]) @ poses()[i][:3, :3], K)
+        inside = bool(np.isfinite(uv).all() and (uv > -0.5).all() and uv[0] < WIDTH - 0.5 and uv[1] < HEIGHT - 0.5)
+        shown = depth[i][round(uv[1]), round(uv[0])] if inside else 0
+        assert by_depth[i] == (inside and not 0 < shown < z - 0.02), i
+
+
+def test_keypoints_without_a_known_place_are_nan_and_some_place_must_be_known(tmp_path: Path) -> None:
+    dataset = dataset_of(tmp_path / "d", {"wrist": poses()}, has_truth=True)
+    publish_truth(dataset, LABELS[:2])
+    track = tracked(dataset, source="truth")
+    assert np.isfinite(track.mean[:, :2]).all() and np.isnan(track.mean[:, 2]).all()
+    assert not track.observed("wrist")[:, 2].any() and (track.n_eff[:, 2] == 0).all()
+    publish_truth(dataset, ())
+    assert "picks: expected a keypoint on an object whose transform is known in reach" in why_not(
+        dataset, source="truth"
+    )
+
+
+def test_true_keypoints_need_truth_and_belong_to_it(tmp_path: Path) -> None:
+    dataset = dataset_of(tmp_path / "d", {"wrist": poses()})
+    assert why_not(dataset, source="truth") == "the dataset has no truth"
+    dataset = dataset_of(tmp_path / "e", {"wrist": poses()}, has_truth=True)
+    assert why_not(dataset, source="truth") == "truth/reach is missing"
+    publish_truth(dataset)
+    tracked(dataset)
+    publish_truth(dataset, LABELS[:2])
+    [by_network], [by_truth] = plan(dataset, encode), plan(dataset, encode, options={"source": "truth"})
+    assert state_of(by_network).status == "up to date"
+    make(by_truth)
+    publish_truth(dataset)
+    assert state_of(by_truth).why == "changed: truth/reach"
+
+
+def test_a_demonstration_without_truth_has_no_true_keypoints(tmp_path: Path) -> None:
+    dataset = dataset_of(tmp_path / "d", {"wrist": poses()}, has_truth=True)
+    publish_truth(dataset)
+    inputs = (
+        Demonstration(dataset.path(Demonstration, "reach")),
+        DescriptorNet(dataset.path(DescriptorNet)),
+        ReferenceKeypoints(dataset.path(ReferenceKeypoints)),
+    )
+    with pytest.raises(Exception, match="reach: truth: expected objects' transforms, got none"):
+        encode(*inputs, truths=[], params=EncodeParams(source="truth"), out=tmp_path / "out")
