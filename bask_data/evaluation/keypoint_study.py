@@ -14,14 +14,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bask_data.dataset import Dataset
-from bask_data.errors import BadData, UsageError
 from bask_data.evaluation.held_out import check_variants
-from bask_data.evaluation.places import known, known_of
-from bask_data.evaluation.tracked_points import by_objects, demonstrations_with_truth, points_to_track, true_tracks
+from bask_data.evaluation.places import known_of
+from bask_data.evaluation.tracked_points import (
+    by_objects,
+    demonstrations_with_truth,
+    points_to_track,
+    true_tracks,
+    whole,
+)
 from bask_data.kinds import Camera, Demonstration, DescriptorNet, Pick, Truth
 from bask_data.kinds.places import points_on_objects, true_pixels
 from bask_data.progress import progress
-from bask_data.stages.encode import gripper_motions
+from bask_data.stages.encode import cameras_of, gripper_motions
 
 if TYPE_CHECKING:
     import numpy as np
@@ -204,9 +209,11 @@ def _references(dataset: Dataset, network: DescriptorNetwork, picks: Sequence[Pi
     """Descriptors (k, d) of the points where they were picked."""
     import numpy as np
 
-    recordings, found = known_of(dataset, picks), []
+    found = []
     for pick in picks:
-        image = recordings[pick.recording].recording.camera(pick.camera).rgb(pick.frame)
+        picked_in = whole(dataset, pick.recording)
+        assert picked_in is not None, "points are picked where truth is"
+        image = picked_in.recording.camera(pick.camera).rgb(pick.frame)
         uv = np.array([[pick.u, pick.v]], dtype=np.float32)
         found.append(network.descriptors_at(image, uv)[0].cpu().numpy())
     return np.stack(found)
@@ -225,11 +232,11 @@ def _tracked(
     """One pass over a demonstration's frames, each described once by each network."""
     import numpy as np
 
-    one = known(dataset, name)
-    assert one is not None and one.truth is not None, "asked only where there is truth"
+    one = whole(dataset, name)
+    assert one is not None, "asked only where there is truth"
     demonstration = one.recording
     assert isinstance(demonstration, Demonstration), "asked only of demonstrations"
-    cameras = _cameras(demonstration, asked)
+    cameras = cameras_of(demonstration, tuple(asked))
     tracked = _with_truth(dataset, name, cameras, picks, one.truth)
     runs = {method.name: _Run(method, seed) for method in methods}
     motions = gripper_motions(demonstration, len(tracked.places))
@@ -271,18 +278,6 @@ class _Run:
         self._belief, estimate = step(self._belief, observations, motion, self._rng, self.method.settings)
         self.shapes = [seen.depth.shape for seen in observations]
         self.estimates.append(estimate)
-
-
-def _cameras(demonstration: Demonstration, asked: Sequence[str]) -> list[Camera]:
-    for name in asked:
-        if name not in demonstration.camera_names:
-            there = ", ".join(demonstration.camera_names)
-            raise UsageError(demonstration.path, "--cameras", expected=f"of {there}", got=name)
-    cameras = [demonstration.camera(name) for name in asked or demonstration.camera_names]
-    if len({camera.n_frames for camera in cameras}) > 1:
-        n_frames = ", ".join(f"{camera.n_frames} of {camera.name}" for camera in cameras)
-        raise BadData(demonstration.path, "cameras", expected="as many frames of each camera", got=n_frames)
-    return cameras
 
 
 def _with_truth(dataset: Dataset, name: str, cameras: Sequence[Camera], picks: Sequence[Pick], truth: Truth) -> Tracked:

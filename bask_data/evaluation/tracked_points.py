@@ -5,14 +5,14 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from bask_data.artifact import MANIFEST
 from bask_data.dataset import Dataset
 from bask_data.errors import UsageError
 from bask_data.evaluation.held_out import learned_scenes
 from bask_data.evaluation.places import known, known_of
-from bask_data.kinds import Camera, Pick, ReferenceKeypoints, Truth
+from bask_data.kinds import Camera, Pick, Recording, ReferenceKeypoints, Truth
 from bask_data.kinds.places import Known, ObjectPoints, carried, label_of, object_poses, points_on_objects
 from bask_data.kinds.truth import ROBOT
 
@@ -36,7 +36,7 @@ def demonstrations_with_truth(dataset: Dataset, asked: Sequence[str]) -> list[st
         UsageError: there is none, or one asked for is not.
     """
     there = dataset.items("demonstration")
-    known_to_truth = [name for name in there if _objects_of(dataset, name)]
+    known_to_truth = [name for name in there if (one := whole(dataset, name)) and _objects_of(one.truth)]
     for name in asked:
         if name not in known_to_truth:
             got = "none of that name" if name not in there else f"{name}, without"
@@ -68,9 +68,10 @@ def by_objects(
     found: dict[tuple[str, ...], list[str]] = {}
     there: set[str] = set()
     for name in demonstrations:
-        objects = _objects_of(dataset, name)
+        one = whole(dataset, name)
+        objects = _objects_of(one.truth) if one else ()
         there.update(objects)
-        mine = tuple(one for one in objects if one in wanted or not wanted)
+        mine = tuple(body for body in objects if body in wanted or not wanted)
         if mine:
             found.setdefault(mine, []).append(name)
     unknown = [one for one in wanted if one not in there]
@@ -80,14 +81,25 @@ def by_objects(
     return found
 
 
-def _objects_of(dataset: Dataset, name: str) -> tuple[str, ...]:
-    """Names of the objects of a recording whose transforms truth knows, by label; empty where the recording is not
-    there."""
+class Whole(NamedTuple):
+    """A recording and its truth, exact depth and cameras included."""
+
+    recording: Recording
+    truth: Truth
+
+
+def whole(dataset: Dataset, name: str) -> Whole | None:
+    """A recording with all there is to know of it; None where frames or truth are missing."""
     one = known(dataset, name)
-    if one is None or one.truth is None or not one.truth.has_depth:
-        return ()
-    names = one.truth.label_names
-    return tuple(names[label] for label in sorted(object_poses(one.truth)) if label in names and label != ROBOT)
+    if one is None or one.recording is None or one.truth is None or not one.truth.has_depth:
+        return None
+    return Whole(one.recording, one.truth)
+
+
+def _objects_of(truth: Truth) -> tuple[str, ...]:
+    """Names of the objects whose transforms truth knows, by label."""
+    names = truth.label_names
+    return tuple(names[label] for label in sorted(object_poses(truth)) if label in names and label != ROBOT)
 
 
 # Choosing ------------------------------------------------------------------------------------------------------------
@@ -102,15 +114,10 @@ def points_to_track(dataset: Dataset, objects: Sequence[str], n: int, reference:
     """
     if reference:
         return _picks_of(dataset, reference, objects)
-    best: tuple[float, Known, Camera, int] | None = None
-    for name in learned_scenes(dataset):
-        one = known(dataset, name)
-        if (
-            one is None
-            or one.truth is None
-            or not one.truth.has_depth
-            or not {*objects} <= {*_objects_of(dataset, name)}
-        ):
+    best: tuple[float, Whole, Camera, int] | None = None
+    for scene in learned_scenes(dataset):
+        one = whole(dataset, scene)
+        if one is None or not {*objects} <= {*_objects_of(one.truth)}:
             continue
         labels = [label_of(one.truth, name, -1) for name in objects]
         for camera in one.recording.cameras:
@@ -138,7 +145,7 @@ def _picks_of(dataset: Dataset, variant: str, objects: Sequence[str]) -> list[Pi
         raise UsageError(dataset.root, "--reference", expected=f"one of {there}, made", got=variant)
     picks = ReferenceKeypoints(path).picks
     on = points_on_objects(picks, known_of(dataset, picks)).names
-    mine = [pick for pick, name in zip(picks, on, strict=True) if name in objects]
+    mine = [pick for pick, name in zip(picks, on, strict=True) if name in objects and whole(dataset, pick.recording)]
     if not mine:
         raise UsageError(dataset.root, "--reference", expected=f"picks on {', '.join(objects)}", got="none")
     return mine
@@ -151,12 +158,11 @@ def _n_of_the_smallest(truth: Truth, camera: Camera, i_frame: int, labels: Seque
     return float(np.bincount(truth.instance(camera.name, i_frame).ravel(), minlength=256)[list(labels)].min())
 
 
-def _spread_picks(objects: Sequence[str], one: Known, camera: Camera, i_frame: int, n: int, seed: int) -> list[Pick]:
+def _spread_picks(objects: Sequence[str], one: Whole, camera: Camera, i_frame: int, n: int, seed: int) -> list[Pick]:
     import numpy as np
 
     from bask_data.nn.selection import inner_pixels, spread_out
 
-    assert one.truth is not None, "picks are chosen where truth is"
     labels, depth = one.truth.instance(camera.name, i_frame), one.truth.depth(camera.name, i_frame)
     picks = []
     for order, name in enumerate(objects):
@@ -186,9 +192,8 @@ def true_tracks(dataset: Dataset, picks: Sequence[Pick], demonstration: str) -> 
     A point of a round object cannot be told by the object alone. Which of its points is meant is said by what the
     object touches in the scan and in the demonstration's first frame: the one at the same place of that.
     """
-    recordings = known_of(dataset, picks, demonstration)
-    here = recordings[demonstration]
-    assert here.truth is not None, "asked only where there is truth"
+    recordings, here = known_of(dataset, picks, demonstration), whole(dataset, demonstration)
+    assert here is not None, "asked only where there is truth"
     points = points_on_objects(picks, recordings)
     points = _turned_with_neighbours(points, picks, recordings, here.truth)
     return carried(points, here.truth, max(camera.n_frames for camera in here.recording.cameras))

@@ -11,7 +11,7 @@ import markupsafe
 
 from bask_data import __version__
 from bask_data.dataset import Dataset
-from bask_data.report import evaluated, heat, sections
+from bask_data.report import evaluated, heat, sections, study
 from bask_data.report.figures import UNREADABLE, Measured, what_is_wrong
 
 TEMPLATE = "page.html.j2"
@@ -62,6 +62,7 @@ SECTIONS: list[tuple[str, str, Callable[[sections.Chosen], Any]]] = [
     ("reference", "Reference keypoints", sections.reference),
     ("heat", "Correspondence heat maps", heat.heat_maps),
     ("keypoints", "Keypoints tracked", sections.tracks),
+    ("study", "How right tracked keypoints are", study.study),
 ]
 
 

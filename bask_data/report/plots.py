@@ -29,6 +29,8 @@ class Curve:
     dashed: bool = False
     dots: bool = False
     """Only its points, not joined."""
+    deviation: np.ndarray | None = None
+    """Half the width of a shaded band around it, which ends at zero."""
 
 
 def line_plot(
@@ -49,6 +51,9 @@ def line_plot(
 
     with _canvas(x_label, y_label) as (axes, drawn):
         for curve in curves:
+            if curve.deviation is not None:
+                low, high = np.maximum(curve.y - curve.deviation, 0.0), curve.y + curve.deviation
+                axes.fill_between(curve.x, low, high, color=curve.colour or _INK, alpha=0.13, linewidth=0)
             axes.plot(
                 curve.x,
                 curve.y,

@@ -1,4 +1,4 @@
-"""Figures of the keypoint study, as the paper draws them: files to show elsewhere, and the report's section."""
+"""The keypoint study: its figures as the paper draws them, in files to show elsewhere, and the report's section."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from bask_data.artifact import read_json
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
+from bask_data.evaluation.keypoint_study import FILE, is_current
 from bask_data.report.figures import find_recording
 from bask_data.report.pictures import Mark, marks_picture, palette
+from bask_data.report.sections import Chosen, Part
 
 COLOURS = ("#a0673a", "#7fb2e5", "#2f6db5", "#e08a1e", "#2f9e5b", "#8a5fb5")
 """Of methods; the first, brown, is the base network's."""
@@ -248,8 +251,89 @@ def _draw_map(axes: Any, group: Mapping[str, Any], variant: str) -> None:
         return
     example = group["examples"][0]
     z = np.array([_numbers(row) for row in example["first_map"][variant]])
-    bins = np.geomspace(max(float(np.nanmin(z)), 1e-3), float(np.nanmax(z)) * 1.001, 9)
+    least = max(float(np.nanmin(z)), 1e-3)
+    # A network that sees nothing has one distance everywhere.
+    bins = np.geomspace(least, max(1.001 * float(np.nanmax(z)), 2 * least), 9)
     drawn = axes.imshow(z, cmap="viridis_r", norm=BoundaryNorm(bins, 256), interpolation="nearest")
     axes.figure.colorbar(drawn, ax=axes, shrink=0.85, format="%.2f").ax.tick_params(labelsize=6)
     name = group["keypoints"][example["keypoint"]]["name"]
     axes.set_title(f"z of {name}, {example['demonstration']}, first frame", fontsize=8)
+
+
+# The report's section ------------------------------------------------------------------------------------------------
+
+
+def study(chosen: Chosen) -> list[Part]:
+    """What the dataset's last study found, for each set of objects: figures by what the cameras see, and over time."""
+    file = chosen.dataset.root / FILE
+    if not file.exists():
+        return []
+    try:
+        found: Any = read_json(file)
+        colours, is_stale = method_colours(found), not is_current(chosen.dataset, found)
+        return [_study_part(found, name, colours, is_stale) for name in found["groups"]]
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        expected = "what `bask-data evaluate keypoints` found"
+        fix = f"bask-data evaluate keypoints {chosen.dataset.root}"
+        raise BadData(file, "", expected=expected, got=f"{type(error).__name__}: {error}", fix=fix) from error
+
+
+def _study_part(found: Mapping[str, Any], name: str, colours: Mapping[str, str], is_stale: bool) -> Part:
+    group = found["groups"][name]
+    methods = group["methods"]
+    first = next(iter(methods.values()))
+    return {
+        "title": name,
+        "is_stale": is_stale,
+        "settings": found["settings"],
+        "n_keypoints": len(group["keypoints"]),
+        "demonstrations": list(group["demonstrations"]),
+        "phases": [{"name": phase, "n": told["n"] + told["n_unknown"]} for phase, told in first["error"].items()],
+        "rows": [
+            {
+                "name": method,
+                "colour": colours[method],
+                "cells": list(told["error"].values()),
+                "close": told["error"]["all"]["close"],
+                "apart": told["apart"]["all"]["mean"],
+            }
+            for method, told in methods.items()
+        ],
+        "plots": [
+            *(_study_plot(group, what, colours) for what in ("error", "apart")),
+            _share_plot(group),
+        ],
+    }
+
+
+def _study_plot(group: Mapping[str, Any], what: str, colours: Mapping[str, str]) -> Part:
+    from bask_data.report.plots import Curve, line_plot
+
+    moments, curves, legend = np.array(group["moments"]), [], []
+    for name, told in group["methods"].items():
+        mean, deviation = (100 * _numbers(told["over_time"][f"{what}_{one}"]) for one in ("mean", "deviation"))
+        curves.append(Curve(moments, mean, colours[name], thick=True, deviation=deviation))
+        legend.append({"name": name, "colour": colours[name], "last": None})
+    highest = max((float(np.nanmax(curve.y, initial=0.0)) for curve in curves), default=0.0)
+    svg = line_plot(
+        curves,
+        x_label="from the first frame to the last",
+        y_label="cm",
+        x_range=(0, 1),
+        y_range=(0, 1.25 * highest or 1),
+    )
+    return {"title": LABELS[what], "svg": svg, "legend": legend}
+
+
+def _share_plot(group: Mapping[str, Any]) -> Part:
+    from bask_data.report.plots import Curve, line_plot
+
+    moments, curves, legend = np.array(group["moments"]), [], []
+    for colour, (phase, share) in zip(("", *COLOURS), group["share_of"].items(), strict=False):
+        if phase != "still":
+            curves.append(Curve(moments, _numbers(share), colour, thick=True))
+            legend.append({"name": phase, "colour": colour or "currentColor", "last": None})
+    svg = line_plot(
+        curves, x_label="from the first frame to the last", y_label="share", x_range=(0, 1), y_range=(0, 1.02)
+    )
+    return {"title": "What the cameras see of the keypoints", "svg": svg, "legend": legend}

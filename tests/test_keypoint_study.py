@@ -1,0 +1,315 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from bask_data.cli import app
+from bask_data.core.geometry import invert_rigid, project, transform
+from bask_data.dataset import Dataset, Splits
+from bask_data.errors import BadData, UsageError
+from bask_data.evaluation import evaluated_keypoints
+from bask_data.evaluation.keypoint_study import FILE, is_current, save_study
+from bask_data.evaluation.tracked_points import ROUND, points_to_track, true_tracks
+from bask_data.kinds import Demonstration, DescriptorNet, Pick, ReferenceKeypoints, Scan, Truth
+from bask_data.kinds.truth import TruthMetadata
+from bask_data.report.study import method_colours, write_pictures
+from tests.datasets import publish_artifact, publish_recording
+from tests.described import (
+    HALF,
+    HEIGHT,
+    NAMES,
+    WIDTH,
+    K,
+    boxes,
+    coded,
+    described_dataset,
+    publish_network,
+    standing,
+)
+from tests.scenes import Box, Scene, look_at
+
+N = 14
+AWAY = range(6, 9)
+"""Frames in which the camera looks elsewhere."""
+
+
+class Colours:
+    """A network whose descriptors are the colours: perfect. Or blind: all pixels are the same to it."""
+
+    def __init__(self, is_blind: bool = False) -> None:
+        self.settings = SimpleNamespace(descriptor_dim=3)
+        self._factor = 0.0 if is_blind else 0.1
+
+    def distance_maps(self, rgb: np.ndarray, references: np.ndarray) -> np.ndarray:
+        away = self._factor * rgb.astype(np.float32)[None] - references[:, None, None]
+        return (np.linalg.norm(away, axis=-1) / np.sqrt(3)).astype(np.float32)
+
+    def descriptors_at(self, rgb: np.ndarray, uv: np.ndarray):
+        import torch
+
+        u, v = np.rint(uv).astype(int).T
+        return torch.from_numpy(self._factor * rgb[v, u].astype(np.float32))
+
+
+NETWORKS = {"main": Colours(), "blind": Colours(is_blind=True)}
+
+
+def tin_at(i_frame: int) -> np.ndarray:
+    """It begins to move at the camera's return."""
+    return standing(0.08 + 0.004 * max(i_frame - 9, 0), 0.02, 0.4, HALF["tin"][2])
+
+
+CARTON = standing(-0.06, 0.0, 0.7, HALF["carton"][2])
+
+
+def demonstration_camera(i_frame: int) -> np.ndarray:
+    target = (0.9, 0.4, 0.0) if i_frame in AWAY else (0.02, 0.0, 0.03)
+    return look_at((0.02 + 0.004 * i_frame, -0.3, 0.45), target)
+
+
+def publish_demonstration(dataset: Dataset, name: str, touching: list[tuple[int, int]] = [], names=NAMES) -> None:  # noqa: B006
+    """The boxes of the scans, elsewhere, and the tin moving."""
+    cameras = np.stack([demonstration_camera(i) for i in range(N)])
+    poses = np.stack([[CARTON, tin_at(i)] for i in range(N)])
+    scenes = [Scene((Box(HALF["carton"], CARTON), Box(HALF["tin"], tin_at(i)))) for i in range(N)]
+    views = [scene.render(K, camera, HEIGHT, WIDTH) for scene, camera in zip(scenes, cameras, strict=True)]
+    images = [
+        coded(scene, view.depth, view.instance, camera)
+        for scene, view, camera in zip(scenes, views, cameras, strict=True)
+    ]
+    publish_recording(
+        dataset,
+        name,
+        rgb=images,
+        depth=[view.depth for view in views],
+        K=K,
+        world_from_cameras=cameras,
+        kind=Demonstration,
+    )
+    metadata = TruthMetadata(label_names=dict(names), object_labels=list(names), touching=touching)
+
+    def fill(out: Path) -> None:
+        with Truth.writer(out, metadata, poses) as writer:
+            camera = writer.camera("wrist", N, (HEIGHT, WIDTH), 1e-4)
+            for view, world_from_camera in zip(views, cameras, strict=True):
+                camera.append(view.instance, np.round(view.depth * 1e4).astype(np.uint16), world_from_camera)
+
+    publish_artifact(dataset, Truth, name, fill)
+
+
+@pytest.fixture(autouse=True)
+def networks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(DescriptorNet, "network", lambda self: NETWORKS[self.path.name])
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """A scan that networks learned from and two demonstrations alike; nothing but the study is written to it."""
+    made = described_dataset(tmp_path_factory.mktemp("study") / "d", {"scan": boxes(0)})
+    publish_network(made, "blind")
+    for name in ("demo-a", "demo-b"):
+        publish_demonstration(made, name)
+    return made
+
+
+@pytest.fixture(scope="module")
+def found(dataset: Dataset) -> dict:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(DescriptorNet, "network", lambda self: NETWORKS[self.path.name])
+        return evaluated_keypoints(dataset, ("main", "blind"), n_keypoints=6)
+
+
+def test_with_a_perfect_network_every_filter_is_right_while_it_sees(found: dict) -> None:
+    methods = found["groups"]["carton+tin"]["methods"]
+    assert list(methods) == [
+        "blind: expectation",
+        "main: expectation, no temperature",
+        "main: expectation",
+        "main: discrete",
+        "main: particle",
+    ]
+    for name in ("main: expectation", "main: discrete", "main: particle"):
+        assert methods[name]["error"]["visible"]["median"] < 0.01, name
+    assert methods["blind: expectation"]["error"]["visible"]["median"] > 0.03
+    assert methods["blind: expectation"]["apart"]["visible"]["mean"] > 0.03
+
+
+def test_what_is_out_of_view_only_a_filter_with_memory_knows(found: dict) -> None:
+    error = {name: one["error"] for name, one in found["groups"]["carton+tin"]["methods"].items()}
+    assert error["main: particle"]["out of view"]["median"] < 0.03
+    assert error["main: expectation"]["out of view"]["median"] > 0.2
+
+
+def test_phases_and_figures_are_those_of_the_true_places(dataset: Dataset, found: dict) -> None:
+    group = found["groups"]["carton+tin"]
+    picks = [Pick(**{key: one[key] for key in one if key != "object"}) for one in group["keypoints"]]
+    assert [one["object"] for one in group["keypoints"]] == ["carton"] * 3 + ["tin"] * 3
+    places = true_tracks(dataset, picks, "demo-a")
+    inside = np.zeros((N, 6), bool)
+    for i in range(N):
+        uv, _ = project(transform(invert_rigid(demonstration_camera(i)), places[i]), K)
+        inside[i] = ((uv > -0.5) & (uv < [WIDTH - 0.5, HEIGHT - 0.5])).all(axis=1)
+    assert not inside[list(AWAY)].any() and inside[: AWAY.start].all()
+    told = group["methods"]["main: particle"]["error"]
+    n = {phase: told[phase]["n"] + told[phase]["n_unknown"] for phase in told}
+    assert n["all"] == 2 * N * 6
+    assert n["visible"] + n["occluded"] + n["out of view"] + n["not seen yet"] == n["all"]
+    assert n["moving"] == 2 * 3 * (N - 10)  # The tin's, from the frame on that finds it elsewhere.
+    assert n["out of view"] <= 2 * 6 * len(AWAY)
+    assert set(group["methods"]["main: particle"]["by_object"]) == {"carton", "tin"}
+    assert set(group["methods"]["main: particle"]["by_demonstration"]) == {"demo-a", "demo-b"}
+    assert group["share_of"]["visible"][0] == pytest.approx(n["visible"] / n["all"], abs=0.3)
+    assert group["share_of"]["visible"][50] == 0.0
+
+
+def test_true_places_ride_on_their_objects(dataset: Dataset) -> None:
+    picks = points_to_track(dataset, ["carton", "tin"], 4, "", 0)
+    scan = Truth(dataset.path(Truth, "scan"))
+    places = true_tracks(dataset, picks, "demo-a")
+    for i, (pick, label) in enumerate(zip(picks, (1, 1, 2, 2), strict=True)):
+        depth = scan.depth("wrist", pick.frame)[round(pick.v), round(pick.u)]
+        camera = Scan(dataset.path(Scan, "scan")).camera("wrist")
+        ray = np.linalg.inv(camera.K) @ [pick.u, pick.v, 1.0]
+        world = transform(scan.world_from_cameras("wrist")[pick.frame], depth * ray)
+        on_object = transform(invert_rigid(np.array(scan.metadata.world_from_object[label])), world)
+        for t in (0, N - 1):
+            pose = CARTON if label == 1 else tin_at(t)
+            np.testing.assert_allclose(places[t, i], transform(pose, on_object), atol=2e-3)
+
+
+def test_a_point_of_a_round_object_is_where_its_neighbour_was_picked_beside(tmp_path: Path) -> None:
+    names = {1: "pan", 2: ROUND[0]}
+    dataset = described_dataset(tmp_path / "d", {"scan": boxes(0)}, names)
+    publish_demonstration(dataset, "free", names=names)
+    publish_demonstration(dataset, "demo", touching=[(1, 2)], names=names)
+    scan = Truth(dataset.path(Truth, "scan"))
+    pan, lid = (np.array(scan.metadata.world_from_object[label]) for label in (1, 2))
+    picks = points_to_track(dataset, [ROUND[0]], 3, "", 0)
+    # Without a neighbour in the scan, the lid's own frame is all there is.
+    np.testing.assert_array_equal(true_tracks(dataset, picks, "demo"), true_tracks(dataset, picks, "free"))
+    own = transform(invert_rigid(tin_at(0)), true_tracks(dataset, picks, "free")[0])
+    attributes = dataset.path(Truth, "scan") / "zarr.json"
+    attributes.write_text(attributes.read_text().replace('"touching": []', '"touching": [[2, 1]]'))
+    places = true_tracks(dataset, picks, "demo")
+    beside_pan = transform(invert_rigid(pan) @ lid, own)
+    np.testing.assert_allclose(places[0], transform(CARTON, beside_pan), atol=1e-6)
+    last = transform(tin_at(N - 1) @ invert_rigid(tin_at(0)), places[0])
+    np.testing.assert_allclose(places[-1], last, atol=1e-6)
+
+
+def test_histograms_tell_matches_from_background(found: dict) -> None:
+    counts = found["groups"]["carton+tin"]["distances"]["counts"]["main"]
+    edges = np.array(found["groups"]["carton+tin"]["distances"]["edges"])
+    middle = {name: np.average(np.sqrt(edges[1:] * edges[:-1]), weights=one) for name, one in counts.items()}
+    assert middle["near"] < middle["objects"] < middle["background"]
+
+
+def test_examples_have_the_truth_and_each_methods_pixel(found: dict) -> None:
+    examples = found["groups"]["carton+tin"]["examples"]
+    assert [one["object"] for one in examples] == ["carton", "tin"]
+    first = examples[0]
+    np.testing.assert_allclose(first["pixel"]["main: expectation"][0], first["truth"][0], atol=2.0)
+    assert first["frames"][0] == 0 and first["frames"][-1] == N - 1
+
+
+def test_the_same_study_has_the_same_figures_and_another_seed_other_points(dataset: Dataset, found: dict) -> None:
+    again = evaluated_keypoints(dataset, ("main",), demonstrations=["demo-a"], n_keypoints=6)
+    alone, both = (one["groups"]["carton+tin"]["methods"]["main: particle"] for one in (again, found))
+    assert alone["by_demonstration"]["demo-a"] == both["by_demonstration"]["demo-a"]
+    assert points_to_track(dataset, ["tin"], 3, "", 0) == points_to_track(dataset, ["tin"], 3, "", 0)
+    assert points_to_track(dataset, ["tin"], 3, "", 0) != points_to_track(dataset, ["tin"], 3, "", 1)
+
+
+def test_reference_keypoints_of_the_dataset_can_be_tracked(dataset: Dataset) -> None:
+    picks = points_to_track(dataset, ["carton", "tin"], 4, "", 0)
+
+    def fill(out: Path) -> None:
+        ReferenceKeypoints.write(out, descriptors=np.zeros((4, 3), np.float32), picks=picks)
+
+    publish_artifact(dataset, ReferenceKeypoints, "", fill)
+    assert points_to_track(dataset, ["tin"], 16, "main", 0) == picks[2:]
+    with pytest.raises(UsageError, match="--reference: expected picks on pan, got none"):
+        points_to_track(dataset, ["pan"], 16, "main", 0)
+    with pytest.raises(UsageError, match="--reference: expected one of main, made, got other"):
+        points_to_track(dataset, ["tin"], 16, "other", 0)
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"variants": ["none"]}, "--variant: expected one of main, blind"),
+        ({"demonstrations": ["none"]}, r"--demonstrations: expected of those with true transforms \(demo-a, demo-b\)"),
+        ({"objects": ["spoon"]}, "--objects: expected of the objects carton, tin, got spoon"),
+        ({"cameras": ["overhead"]}, "cameras: expected some of wrist, got overhead"),
+    ],
+)
+def test_what_is_not_there_is_said_with_what_is(dataset: Dataset, asked: dict, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        evaluated_keypoints(dataset, **{"variants": ["main"], **asked})
+
+
+def test_without_truth_or_a_scan_to_pick_in_there_is_no_study(tmp_path: Path) -> None:
+    dataset = described_dataset(tmp_path / "d", {"scan": boxes(0)})
+    with pytest.raises(UsageError, match="expected a demonstration whose truth knows where the objects are, got none"):
+        evaluated_keypoints(dataset)
+    publish_demonstration(dataset, "demo")
+    dataset.set_splits(Splits(test=("scan",)))
+    with pytest.raises(UsageError, match="expected a scan with truth that shows carton, tin, to pick keypoints in"):
+        evaluated_keypoints(dataset)
+
+
+def test_a_kept_study_is_current_until_what_it_measured_changes(dataset: Dataset, found: dict) -> None:
+    path = save_study(dataset, found)
+    assert path == dataset.root / FILE
+    kept = json.loads(path.read_text())
+    assert kept == json.loads(json.dumps(found))
+    assert is_current(dataset, kept)
+    changed = kept | {"measured_with": kept["measured_with"] | {"descriptor/main": "another"}}
+    assert not is_current(dataset, changed)
+    assert not is_current(dataset, kept | {"measured_with": {"descriptor/gone": "0"}})
+    assert [one.name for one in path.parent.iterdir()] == ["keypoints.json"]
+
+
+def test_figures_are_drawn_and_the_same_each_time(dataset: Dataset, found: dict, tmp_path: Path) -> None:
+    files = write_pictures(dataset, found, tmp_path / "a")
+    assert [file.name for file in files] == ["carton+tin.png", "carton+tin-likelihood.png"]
+    assert sorted(one.name for one in (tmp_path / "a").iterdir()) == sorted(file.name for file in files)
+    again = write_pictures(dataset, found, tmp_path / "b")
+    assert [file.read_bytes() for file in files] == [file.read_bytes() for file in again]
+    image = cv2.cvtColor(cv2.imread(str(files[0])), cv2.COLOR_BGR2RGB)
+    for colour in method_colours(found).values():
+        rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+        assert (np.abs(image.astype(int) - rgb).max(axis=2) < 12).sum() > 100, colour
+
+
+def test_a_figure_of_frames_that_are_gone_is_refused(dataset: Dataset, found: dict, tmp_path: Path) -> None:
+    lost = json.loads(json.dumps(found))
+    for one in lost["groups"]["carton+tin"]["keypoints"]:
+        one["recording"] = "gone"
+    with pytest.raises(
+        BadData, match="frame .* of wrist in gone: expected the frame the study was made with, got none"
+    ):
+        write_pictures(dataset, lost, tmp_path)
+
+
+def test_the_command_says_and_keeps_what_it_found(dataset: Dataset, tmp_path: Path) -> None:
+    arguments = [str(dataset.root), "--demonstrations", "demo-a", "--objects", "tin", "--keypoints", "2", "--json"]
+    answer = CliRunner().invoke(
+        app, ["evaluate", "keypoints", *arguments, "--pictures", str(tmp_path)], catch_exceptions=False
+    )
+    assert answer.exit_code == 0, answer.stderr
+    told = json.loads(answer.stdout)
+    assert told["command"] == "evaluate keypoints"
+    assert list(told["groups"]) == ["tin"]
+    assert [Path(file).exists() for file in told["files"]] == [True] * 3
+    assert json.loads((dataset.root / FILE).read_text())["groups"] == told["groups"]
+    particle = told["groups"]["tin"]["methods"]["main: particle"]["error"]["all"]["mean"]
+    [line] = [line for line in answer.stderr.splitlines() if "main: particle" in line]
+    assert line.split()[2] == f"{1000 * particle:.0f}"
+    assert f"next: bask-data report {dataset.root}" in answer.stderr
