@@ -3,8 +3,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 
-from bask_data.config import load_config
+from bask_data.config import load_config, write_section
 from bask_data.errors import BadData, UsageError
 from bask_data.stage import resolve
 from tests.toy_stages import fuse, pick
@@ -74,3 +75,38 @@ def test_assignments_must_name_stage_and_field(text: str) -> None:
 def test_assignment_must_be_yaml() -> None:
     with pytest.raises(UsageError, match="expected a YAML value"):
         load_config(None, ["fuse.voxel_size=["], STAGES)
+
+
+def test_a_section_is_written_without_touching_the_rest(tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    write_section(file, "pick@main", {"picks": ["a:1:é", "b: 2"]})
+    assert yaml.safe_load(file.read_text()) == {"pick@main": {"picks": ["a:1:é", "b: 2"]}}
+    before, after = "# Ours.\nfuse:\n  # Metres.\n  voxel_size: 1\n\n", "\n# Theirs.\nother:\n  a: 1"
+    text = f"{before}pick@main:\n  n: 3\n  picks:\n  - x\n{after}"
+    file.write_text(text)
+    write_section(file, "pick@main", {"picks": ["y"]})
+    assert file.read_text() == text.replace("- x", "- y")
+    write_section(file, "pick@v2", {"picks": []})
+    assert file.read_text() == text.replace("- x", "- y") + "\npick@v2:\n  picks: []\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{fuse: {voxel_size: 1}, pick@main: {n: 3}}",
+        "'pick@main': {n: 3}\nfuse: {voxel_size: 1}\n",
+        "fuse: {voxel_size: 1}\npick@main: {\nn: 3\n}\n",
+        "fuse:\n  voxel_size: 1\npick@main: &x\n# Here.\n  n: 3\n",
+    ],
+)
+def test_a_file_in_another_style_keeps_its_values(tmp_path: Path, text: str) -> None:
+    file = written(tmp_path, text)
+    write_section(file, "pick@main", {"picks": ["y"]})
+    assert yaml.safe_load(file.read_text()) == {"fuse": {"voxel_size": 1}, "pick@main": {"n": 3, "picks": ["y"]}}
+
+
+def test_a_file_that_is_none_of_ours_is_left_alone(tmp_path: Path) -> None:
+    file = written(tmp_path, "- a\n")
+    with pytest.raises(BadData, match="expected sections named like stages, got list"):
+        write_section(file, "pick", {})
+    assert file.read_text() == "- a\n"

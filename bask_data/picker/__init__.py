@@ -106,6 +106,7 @@ def _recordings(dataset: Dataset) -> dict[str, Recording]:
         for name in dataset.items(scope):
             if dataset.path(kind, name).exists():
                 found[name] = kind(dataset.path(kind, name))
+                found[name].check_complete()
     if not found:
         fix = "bask-data ingest --help"
         raise UsageError(dataset.root, "", expected="a recording", got="none in the dataset", fix=fix)

@@ -132,7 +132,7 @@ class Desk:
     def _place(self, asked: Edit) -> None:
         if asked.at is None:
             raise UsageError("edit", "at", expected="a pixel", got="none")
-        frame, u, v = asked.at.frame, round(asked.at.u, 2), round(asked.at.v, 2)
+        frame, u, v = asked.at.frame, round(asked.at.u, 1), round(asked.at.v, 1)
         self.gallery.check_pixel(frame, u, v)
         if asked.do == "add":
             self.draft.add([Mark(name=asked.name, **frame._asdict(), u=u, v=v)])
@@ -166,8 +166,9 @@ class Desk:
         found = {frame: self.gallery.find(descriptor, frame) for frame in ready}
         scale = max((float(one.z.max()) for one in found.values()), default=0.0) or 1.0
         places = self.gallery.same_place(at.frame, at.u, at.v, asked.frames)
-        # What most pixels are like is not what is looked for: it sets the colours' range.
-        middle = float(np.median(np.concatenate([one.z.ravel() for one in found.values()]))) if found else scale
+        # What most pixels are like is not what is looked for: it sets the colours' range. A few of them tell.
+        few = [one.z.ravel()[:: max(one.z.size // 1000, 1)] for one in found.values()]
+        middle = float(np.median(np.concatenate(few))) if few else scale
         header = {
             "scale": scale,
             "middle": middle or scale,

@@ -438,6 +438,7 @@ function draw() {
   isDue = true;
   requestAnimationFrame(() => {
     isDue = false;
+    if (!views.length) return;
     const table = colourTable();
     views.forEach((view) => paint(view, table));
   });
@@ -587,7 +588,7 @@ function row(mark) {
   remove.setAttribute("aria-label", `Delete ${mark.name}`);
   remove.onclick = (event) => { event.stopPropagation(); edit({ do: "delete", name: mark.name }); };
   line.append(dot, text, remove);
-  line.onclick = () => { if (chosen === mark.name) goTo(mark); choose(mark.name); };
+  line.onclick = () => { choose(mark.name); goTo(mark); };
   line.ondblclick = () => rename(mark.name);
   line.onkeydown = (event) => {
     if (event.target !== line) return;
@@ -602,7 +603,7 @@ function row(mark) {
 }
 
 function goTo(mark) {
-  if (!same(views[0].frame, frameOf(mark))) views[0].show(frameOf(mark));
+  if (!views.some((view) => same(view.frame, frameOf(mark)))) views[0].show(frameOf(mark));
 }
 
 function rename(name) {
@@ -655,6 +656,8 @@ async function save() {
 
 async function finish() {
   await told("close").catch(() => null);
+  views.length = 0;
+  document.removeEventListener("keydown", onKey);
   document.body.replaceChildren(Object.assign(document.createElement("main"), { textContent: "Saved. This page can be closed." }));
 }
 
@@ -674,8 +677,7 @@ async function propose() {
   try {
     adopt(await told("propose", { scene, n }));
     show("proposed; Undo takes them away");
-    const last = state.marks[state.marks.length - 1];
-    if (views[0].frame[0] !== scene) views[0].show(frameOf(last));
+    goTo(state.marks[state.marks.length - 1]);
   } catch (error) { complain(error); }
   $("propose").disabled = false;
 }

@@ -1,0 +1,62 @@
+"""A picker's server in this process, and ways to speak to it."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import socket
+import threading
+
+from bask_data.picker.desk import Desk
+from bask_data.picker.server import serve
+
+
+class Served:
+    """A server in a thread, and ways to speak to it."""
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk = desk
+        self._opened = threading.Event()
+        self._thread = threading.Thread(target=serve, args=(desk, 0), kwargs={"opened": self._open}, daemon=True)
+        self._thread.start()
+        assert self._opened.wait(30)
+
+    def _open(self, url: str) -> None:
+        self.url = url
+        self.host, _, rest = url.removeprefix("http://").partition("/")
+        self.port, self.token = int(self.host.split(":")[1]), rest.partition("token=")[2]
+        self._opened.set()
+
+    def request(self, method: str, path: str, body: bytes | None = None, **headers: str) -> tuple[int, bytes]:
+        named = {name.replace("_", "-"): value for name, value in headers.items()}
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
+        with contextlib.closing(connection):
+            connection.request(method, path, body, named)
+            answer = connection.getresponse()
+            self.headers = answer.headers
+            return answer.status, answer.read()
+
+    def raw(self, text: bytes) -> int:
+        """The status of an answer to bytes as they are; 0 where the connection is closed without one."""
+        with socket.create_connection(("127.0.0.1", self.port), timeout=30) as connection:
+            connection.sendall(text)
+            answer = connection.makefile("rb").readline()
+        return int(answer.split()[1]) if answer else 0
+
+    @property
+    def headers_of_page(self) -> dict[str, str]:
+        return {"X_Token": self.token, "Origin": f"http://{self.host}", "Content_Type": "application/json"}
+
+    def ask(self, name: str, /, **body: object) -> tuple[int, bytes]:
+        return self.request("POST", f"/api/{name}", json.dumps(body).encode(), **self.headers_of_page)
+
+    def told(self, name: str, /, **body: object) -> dict:
+        status, text = self.ask(name, **body)
+        assert status == 200, text
+        return json.loads(text)
+
+    def end(self) -> None:
+        self.ask("close")
+        self._thread.join(30)
+        assert not self._thread.is_alive()

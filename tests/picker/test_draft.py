@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bask_data.errors import BadData, UsageError
+from bask_data.picker.draft import MOST_MARKS, Draft, Mark, checked_name
+
+
+def mark(name: str = "", u: float = 3.0) -> Mark:
+    return Mark(name=name, recording="a", camera="wrist", frame=1, u=u, v=4.0)
+
+
+def names(draft: Draft) -> list[str]:
+    return [one.name for one in draft.marks]
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / ".scratch" / "picks.json"
+
+
+def test_marks_without_a_name_or_with_a_taken_one_get_another(file: Path) -> None:
+    draft = Draft(file)
+    for name in ("", "rim", "", "rim", "rim"):
+        draft.add([mark(name)])
+    assert names(draft) == ["point_1", "rim", "point_2", "rim_2", "rim_3"]
+
+
+def test_every_step_is_undone_and_done_again_and_survives_a_reload(file: Path) -> None:
+    draft = Draft(file, [mark("first")])
+    steps = [
+        lambda: draft.add([mark("rim"), mark("knob")]),
+        lambda: draft.move("rim", 7.5, 8.0),
+        lambda: draft.rename("rim", "edge"),
+        lambda: draft.delete(["first", "knob"]),
+    ]
+    seen = [draft.marks]
+    for step in steps:
+        step()
+        seen.append(draft.marks)
+    assert [names(draft), draft.marks[0].u] == [["edge"], 7.5]
+    for expected in reversed(seen[:-1]):
+        draft = Draft(file)
+        assert draft.can_undo
+        draft.undo()
+        assert draft.marks == expected
+    assert not draft.can_undo
+    draft.undo()
+    for expected in seen[1:]:
+        draft = Draft(file)
+        assert draft.can_redo
+        draft.redo()
+        assert draft.marks == expected
+    assert not draft.can_redo
+    draft.redo()
+    assert draft.marks == seen[-1]
+
+
+def test_a_new_step_forgets_what_was_undone_and_one_that_changes_nothing_is_none(file: Path) -> None:
+    draft = Draft(file)
+    draft.add([mark("a")])
+    draft.undo()
+    draft.add([mark("b")])
+    assert not draft.can_redo
+    draft.move("b", 3.0, 4.0)
+    draft.undo()
+    assert names(draft) == []
+
+
+@given(steps=st.lists(st.sampled_from(["add", "move", "delete", "undo", "redo"]), max_size=30))
+def test_undoing_everything_gives_the_beginning(tmp_path_factory, steps: list[str]) -> None:
+    draft = Draft(tmp_path_factory.mktemp("draft") / "picks.json", [mark("first")])
+    for i, step in enumerate(steps):
+        if step == "add":
+            draft.add([mark()])
+        elif draft.marks and step == "move":
+            draft.move(draft.marks[0].name, float(i), 1.0)
+        elif draft.marks and step == "delete":
+            draft.delete([draft.marks[-1].name])
+        elif step == "undo":
+            draft.undo()
+        elif step == "redo":
+            draft.redo()
+        assert len(set(names(draft))) == len(draft.marks)
+    while draft.can_undo:
+        draft.undo()
+    assert draft.marks == (mark("first"),)
+
+
+def test_what_is_saved_is_forgotten(file: Path) -> None:
+    draft = Draft(file)
+    draft.add([mark("rim")])
+    assert not Draft(file).is_new
+    draft.drop()
+    assert Draft(file).is_new
+    assert names(draft) == ["rim"]
+
+
+@pytest.mark.parametrize(
+    ("step", "message"),
+    [
+        (lambda draft: draft.rename("rim", "knob"), "name: expected one that no other keypoint has, got knob"),
+        (lambda draft: draft.rename("rim", "a:b"), "name: expected letters, digits, spaces, .* at most 40, got 'a:b'"),
+        (lambda draft: draft.rename("rim", " "), "name: expected letters"),
+        (lambda draft: draft.rename("rim", "x" * 41), "name: expected letters"),
+        (lambda draft: draft.move("none", 0.0, 0.0), "name: expected that of a keypoint, got none"),
+        (lambda draft: draft.delete(["rim", "none"]), "name: expected that of a keypoint, got none"),
+        (lambda draft: draft.add([mark()] * MOST_MARKS), f"keypoints: expected at most {MOST_MARKS}, got 258"),
+    ],
+)
+def test_what_cannot_be_done_changes_nothing(file: Path, step, message: str) -> None:
+    draft = Draft(file, [mark("rim"), mark("knob")])
+    with pytest.raises(UsageError, match=message):
+        step(draft)
+    assert names(draft) == ["rim", "knob"]
+    assert not draft.can_undo
+
+
+def test_names_may_be_words_of_any_language() -> None:
+    assert checked_name("  Griff übers Eck.2 ") == "Griff übers Eck.2"
+
+
+@pytest.mark.parametrize("text", ["", "{", json.dumps({"marks": [{"name": "x"}]}), json.dumps({"marks": 3})])
+def test_a_damaged_file_says_what_to_do(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "picks.json"
+    file.write_text(text)
+    with pytest.raises(BadData, match=r"picks.json: .*fix: delete it: it holds unfinished picks only."):
+        Draft(file)

@@ -1,0 +1,342 @@
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import struct
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from bask_data.errors import MissingDependency, UsageError
+from bask_data.picker.desk import Desk
+from bask_data.picker.draft import Draft, Mark
+from bask_data.picker.gallery import Gallery
+from bask_data.picker.server import MOST_BYTES, listen, serve
+from tests.picker.pickable import HEIGHT, WIDTH, frame, pickable_dataset, recordings_of, untrained
+from tests.picker.serving import Served
+
+pytest.importorskip("uvicorn")
+pytest.importorskip("starlette")
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    return recordings_of(pickable_dataset(tmp_path_factory.mktemp("server") / "d"))
+
+
+@pytest.fixture
+def served(recordings, tmp_path) -> Iterator[Served]:
+    proposed = Mark(name="object_1_0", recording="a", camera="wrist", frame=0, u=5.0, v=6.0)
+    saved = []
+
+    def save(marks):
+        if marks[0].name == "broken":
+            raise UsageError("reference", "picks", expected="better ones", got="these")
+        saved.append(marks)
+        return f"{len(marks)} saved", "bask-data encode"
+
+    desk = Desk(
+        Gallery(recordings, untrained()),
+        Draft(tmp_path / "picks.json"),
+        propose=lambda scene, n: [proposed] * n,
+        save=save,
+        title="table",
+    )
+    server = Served(desk)
+    server.saved = saved  # type: ignore[attr-defined]
+    yield server
+    server.end()
+
+
+AT = {"frame": ["a", "wrist", 0], "u": 40.0, "v": 50.0}
+
+
+def test_the_page_brings_all_it_needs_and_forbids_the_rest(served) -> None:
+    status, text = served.request("GET", f"/?token={served.token}")
+    assert status == 200
+    policy = served.headers["Content-Security-Policy"]
+    nonce = policy.partition("'nonce-")[2].partition("'")[0]
+    assert text.count(f'nonce="{nonce}"'.encode()) == 2
+    assert b"async function ask(" in text and b".view" in text
+    assert b"src=" not in text and b"http://" not in text and b"https://" not in text
+    assert policy.startswith("default-src 'none'; ") and "unsafe" not in policy
+    assert served.headers["Cache-Control"] == "no-store"
+    assert served.headers["X-Frame-Options"] == "DENY"
+    assert served.headers["Referrer-Policy"] == "no-referrer"
+    assert "Access-Control-Allow-Origin" not in served.headers
+    assert "Server" not in served.headers
+
+
+def test_two_servers_have_two_tokens(served) -> None:
+    assert len(served.token) >= 32
+
+
+HOSTILE = {
+    "page without token": ("GET", "/", {}),
+    "page with another token": ("GET", "/?token=x", {}),
+    "page with two tokens": ("GET", "/?token=x&token={token}", {}),
+    "page under another host": ("GET", "/?token={token}", {"Host": "evil.example:{port}"}),
+    "page under another port": ("GET", "/?token={token}", {"Host": "127.0.0.1:1"}),
+    "page under a host that begins well": ("GET", "/?token={token}", {"Host": "127.0.0.1:{port}.evil.example"}),
+    "page for another origin": ("GET", "/?token={token}", {"Origin": "http://evil.example"}),
+    "program without token": ("POST", "/api/start", {"Origin": "http://127.0.0.1:{port}"}),
+    "program with another token": ("POST", "/api/start", {"Origin": "http://127.0.0.1:{port}", "X-Token": "x"}),
+    "program with the token in its address": (
+        "POST",
+        "/api/start?token={token}",
+        {"Origin": "http://127.0.0.1:{port}"},
+    ),
+    "program for another origin": ("POST", "/api/start", {"Origin": "http://evil.example", "X-Token": "{token}"}),
+    "program for the origin of another port": (
+        "POST",
+        "/api/start",
+        {"Origin": "http://127.0.0.1:1", "X-Token": "{token}"},
+    ),
+    "program for an origin by https": ("POST", "/api/start", {"Origin": "https://{host}", "X-Token": "{token}"}),
+    "program of a sandboxed frame": ("POST", "/api/start", {"Origin": "null", "X-Token": "{token}"}),
+    "program without an origin": ("POST", "/api/start", {"X-Token": "{token}"}),
+    "program under another host": (
+        "POST",
+        "/api/start",
+        {"Origin": "http://127.0.0.1:{port}", "X-Token": "{token}", "Host": "evil.example"},
+    ),
+    "question whether another origin may ask": (
+        "OPTIONS",
+        "/api/edit",
+        {"Origin": "http://evil.example", "Access-Control-Request-Method": "POST"},
+    ),
+    "websocket of another origin": (
+        "GET",
+        "/?token={token}",
+        {
+            "Origin": "http://evil.example",
+            "Connection": "Upgrade",
+            "Upgrade": "websocket",
+            "Sec-WebSocket-Version": "13",
+            "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+        },
+    ),
+    "file above": ("GET", "/../../../../etc/passwd", {}),
+    "file above, spelt otherwise": ("GET", "/%2e%2e/%2e%2e/etc/passwd?token={token}", {}),
+    "file with two slashes": ("GET", "//etc/passwd?token={token}", {}),
+}
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_hostile_requests_are_refused(served, case: str) -> None:
+    method, path, headers = HOSTILE[case]
+    known = {"token": served.token, "port": served.port, "host": served.host}
+    headers = {name: value.format(**known) for name, value in headers.items()}
+    status, text = served.request(method, path.format(**known), b"{}" if method == "POST" else None, **headers)
+    assert status == 403
+    assert text == b"Refused. Open the link that bask-data printed.\n"
+    assert served.desk.draft.marks == ()
+
+
+def test_a_request_that_nothing_is_wrong_with_is_answered(served) -> None:
+    # The cases above differ from these in one thing each.
+    assert served.request("GET", f"/?token={served.token}", Host=f"localhost:{served.port}")[0] == 200
+    assert served.request("POST", "/api/start", b"{}", **served.headers_of_page)[0] == 200
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/api/../api/none",
+        "/etc/passwd",
+        "/%2e%2e/etc/passwd",
+        "//",
+        "/index.html",
+        "/picker.js",
+        "/api/start/",
+        "/api/picture/..%2f..%2fetc%2fpasswd",
+        "/api/_place",
+        "/api/__init__",
+        "/api/state",
+        "/docs",
+    ],
+)
+def test_even_with_the_token_there_is_nothing_else_to_be_had(served, path: str) -> None:
+    assert served.request("POST", path, b"{}", **served.headers_of_page)[0] in (403, 404)
+    assert served.request("GET", path, **served.headers_of_page)[0] in (403, 404)
+
+
+def test_a_websocket_is_never_opened(served) -> None:
+    headers = {
+        **served.headers_of_page,
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec_WebSocket_Version": "13",
+        "Sec_WebSocket_Key": "dGhlIHNhbXBsZSBub25jZQ==",
+    }
+    assert served.request("GET", "/api/start", **headers)[0] == 405
+
+
+@pytest.mark.parametrize(
+    ("text", "status"),
+    [
+        (b"GET /?token=%s HTTP/1.1\r\nHost: %s\r\nX: " + b"a" * 200000 + b"\r\n\r\n", 400),
+        (b"GET /" + b"a" * 200000 + b"?token=%s HTTP/1.1\r\nHost: %s\r\n\r\n", 400),
+        (b"GET /?token=%s HTTP/1.1\r\nHost: %s\r\nHost: evil.example\r\n\r\n", 400),
+        (b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03 no http at all\r\n\r\n", 400),
+        (b"GET /?token=%s HTTP/1.1\r\n\r\n", 400),
+    ],
+    ids=["large header", "long address", "two hosts", "no http", "no host"],
+)
+def test_what_is_no_proper_request_is_refused(served, text: bytes, status: int) -> None:
+    filled = text.replace(b"%s", served.token.encode(), 1).replace(b"%s", served.host.encode(), 1)
+    assert served.raw(filled) in (status, 0)
+    assert served.told("start")["title"] == "table"
+
+
+def test_large_bodies_are_refused_whether_they_say_so_or_not(served) -> None:
+    body = json.dumps({"do": "add", "name": "x" * MOST_BYTES}).encode()
+    assert served.request("POST", "/api/edit", body, **served.headers_of_page)[0] == 413
+    pieces = (body[i : i + 1000] for i in range(0, len(body), 1000))
+    connection = http.client.HTTPConnection("127.0.0.1", served.port, timeout=30)
+    with contextlib.closing(connection):
+        headers = {name.replace("_", "-"): value for name, value in served.headers_of_page.items()}
+        connection.request("POST", "/api/edit", pieces, headers, encode_chunked=True)
+        assert connection.getresponse().status == 413
+
+
+@pytest.mark.parametrize(
+    ("name", "body", "message"),
+    [
+        ("edit", b"{", "expected "),
+        ("edit", b"[" * 30000, "expected "),
+        ("edit", b'{"do": "format"}', "do: expected 'add', 'move'"),
+        ("edit", b'{"do": "add"}', "edit: at: expected a pixel, got none"),
+        ("edit", b'{"do": "undo", "more": 1}', "more: expected no field of that name"),
+        ("edit", b'{"do": "add", "at": {"frame": ["a", "wrist", 0], "u": NaN, "v": 1}}', "expected "),
+        ("edit", b'{"do": "add", "at": {"frame": ["a", "wrist", 0], "u": 1e9, "v": 1}}', "pixel: expected u 0..127"),
+        ("edit", b'{"do": "add", "at": {"frame": ["../a", "wrist", 0], "u": 1, "v": 1}}', "expected a frame of"),
+        ("edit", b'{"do": "rename", "name": "none", "new_name": "x"}', "name: expected that of a keypoint"),
+        ("picture", b'{"frame": ["../../etc", "passwd", 0]}', "frame: expected a frame of the dataset"),
+        ("picture", b'{"frame": ["a", "wrist", 10000000000000000000000]}', "expected "),
+        ("describe", b'{"frame": ["a"]}', "frame"),
+        ("matches", json.dumps({"frames": [["a", "wrist", 0]] * 25}).encode(), "frames: expected "),
+        ("propose", b'{"scene": "a", "n": 1000}', "n: expected less than or equal to 64"),
+        ("save", b"{}", "save: expected a keypoint, got none.  fix: click on one first."),
+    ],
+)
+def test_what_makes_no_sense_is_said_to_make_none(served, name: str, body: bytes, message: str) -> None:
+    status, text = served.request("POST", f"/api/{name}", body, **served.headers_of_page)
+    assert status == 400
+    assert message in json.loads(text)["error"]
+
+
+def test_only_json_is_read(served) -> None:
+    headers = {**served.headers_of_page, "Content_Type": "text/plain"}
+    assert served.request("POST", "/api/edit", b'{"do": "clear"}', **headers) == (
+        415,
+        b'{"error":"expected application/json"}',
+    )
+
+
+def test_keypoints_are_made_moved_named_and_taken_away(served) -> None:
+    served.told("edit", do="add", at=AT)
+    served.told("edit", do="add", at={**AT, "u": 60.126}, name="rim")
+    served.told("edit", do="move", name="point_1", at={**AT, "v": 51.0})
+    found = served.told("edit", do="rename", name="point_1", new_name="knob")
+    assert [(mark["name"], mark["u"], mark["v"]) for mark in found["marks"]] == [
+        ("knob", 40.0, 51.0),
+        ("rim", 60.1, 50.0),
+    ]
+    assert (found["can_undo"], found["can_redo"], found["is_saved"]) == (True, False, False)
+    assert [mark["name"] for mark in served.told("edit", do="delete", name="knob")["marks"]] == ["rim"]
+    assert served.told("edit", do="clear")["marks"] == []
+    served.told("edit", do="undo")
+    served.told("edit", do="undo")
+    assert len(served.told("edit", do="undo")["marks"]) == 2
+    assert served.told("edit", do="redo")["marks"][0]["name"] == "knob"
+    elsewhere = {**AT, "frame": ["b", "wrist", 0]}
+    status, text = served.ask("edit", do="move", name="knob", at=elsewhere)
+    assert (status, "expected a pixel of the keypoint's own frame" in text.decode()) == (400, True)
+
+
+def test_heat_maps_hold_the_distances_of_the_frames_that_are_described(served) -> None:
+    frames = [["a", "wrist", 0], ["a", "wrist", 1], ["lift", "wrist", 0]]
+    served.told("describe", frame=frames[1])
+    status, answer = served.ask("heat", at=AT, frames=frames)
+    assert status == 200
+    [length] = struct.unpack("<I", answer[:4])
+    header = json.loads(answer[4 : 4 + length])
+    assert header["maps"][2] is None
+    gallery = served.desk.gallery
+    descriptor = gallery.descriptor_at(frame("a", 0), 40.0, 50.0)
+    offset = 4 + length
+    for i, one in enumerate(header["maps"][:2]):
+        expected = gallery.find(descriptor, frame("a", i))
+        n = one["size"][0] * one["size"][1]
+        codes = np.frombuffer(answer[offset : offset + n], np.uint8).reshape(one["size"])
+        offset += n
+        np.testing.assert_allclose(header["scale"] * (codes / 255) ** 2, expected.z, atol=0.005 * header["scale"])
+        assert one["best"] == list(expected.best)
+        assert one["z"] == pytest.approx(expected.z_best)
+    assert offset == len(answer)
+    np.testing.assert_allclose(header["maps"][0]["place"], [40.0, 50.0], atol=1e-6)
+
+
+def test_all_keypoints_are_looked_for_in_the_frames_that_are_described(served) -> None:
+    served.told("edit", do="add", at={**AT, "u": 40.5, "v": 50.5})
+    served.told("edit", do="add", at={**AT, "u": 60.5, "v": 30.5})
+    found = served.told("matches", frames=[["a", "wrist", 0], ["b", "wrist", 0]])
+    assert found["names"] == ["point_1", "point_2"]
+    own, other = found["frames"]
+    np.testing.assert_allclose(own, [[40.5, 50.5, 0], [60.5, 30.5, 0]], atol=2e-3)
+    assert other is None
+    served.told("edit", do="move", name="point_1", at={**AT, "u": 20.5, "v": 50.5})
+    [own] = served.told("matches", frames=[["a", "wrist", 0]])["frames"]
+    np.testing.assert_allclose(own[0], [20.5, 50.5, 0], atol=2e-3)
+
+
+def test_pictures_are_sent_as_they_are(served) -> None:
+    status, data = served.ask("picture", frame=["lift", "wrist", 1])
+    assert (status, data[:3]) == (200, b"\xff\xd8\xff")
+    assert served.headers["X-Content-Type-Options"] == "nosniff"
+
+
+def test_proposals_are_one_step(served) -> None:
+    found = served.told("propose", scene="a", n=3)
+    assert [mark["name"] for mark in found["marks"]] == ["object_1_0", "object_1_0_2", "object_1_0_3"]
+    assert served.told("edit", do="undo")["marks"] == []
+
+
+def test_saving_says_what_it_made_and_a_change_after_it_is_unsaved(served) -> None:
+    served.told("edit", do="add", at=AT)
+    found = served.told("save")
+    assert (found["told"], found["next"], found["is_saved"]) == ("1 saved", "bask-data encode", True)
+    assert [len(marks) for marks in served.saved] == [1]
+    assert served.told("edit", do="add", at=AT)["is_saved"] is False
+    assert served.told("edit", do="undo")["is_saved"] is True
+
+
+def test_what_cannot_be_saved_is_said_and_kept(served) -> None:
+    served.told("edit", do="add", at=AT, name="broken")
+    status, text = served.ask("save")
+    assert (status, json.loads(text)["error"]) == (400, "reference: picks: expected better ones, got these.")
+    assert len(served.told("start")["marks"]) == 1
+
+
+def test_start_tells_what_there_is(served) -> None:
+    found = served.told("start")
+    assert found["recordings"][0]["cameras"][0] == {"name": "wrist", "n_frames": 4, "width": WIDTH, "height": HEIGHT}
+    assert (found["title"], found["marks"]) == ("table", [])
+
+
+def test_a_port_that_is_taken_is_said() -> None:
+    with listen(0) as first:
+        port = first.getsockname()[1]
+        assert first.getsockname()[0] == "127.0.0.1"
+        with pytest.raises(UsageError, match=rf"--port: expected port {port} to be free, got .*give another --port"):
+            listen(port)
+
+
+def test_without_the_packages_it_says_how_to_get_them(monkeypatch, served) -> None:
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    with pytest.raises(MissingDependency, match=r"uvicorn: expected a web server.*pip install 'bask-data\[pick\]'"):
+        serve(served.desk, 0, opened=print)
