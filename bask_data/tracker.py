@@ -273,7 +273,8 @@ def _check(
         raise ValueError(f"camera {name}: depth: expected {image.shape[:2]} in metres, as the image, got {got}")
     if K is None or K.shape != (3, 3):
         raise ValueError(f"camera {name}: intrinsics: expected (3, 3), got {'none' if K is None else K.shape}")
-    shape = None if world_from_camera is None else world_from_camera.shape
-    fault = rigid_fault(world_from_camera) if world_from_camera is not None and shape == (4, 4) else f"{shape}"
+    fault = "none" if world_from_camera is None else f"{world_from_camera.shape}"
+    if world_from_camera is not None and world_from_camera.shape == (4, 4):
+        fault = rigid_fault(world_from_camera)
     if fault:
         raise ValueError(f"camera {name}: world_from_camera: expected a rigid transform (4, 4), got {fault}")

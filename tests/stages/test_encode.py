@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-import tracemalloc
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Referen
 from bask_data.kinds.truth import TruthMetadata
 from bask_data.stage import make, plan, state_of
 from bask_data.stages.encode import EncodeParams, encode, settings_of
-from bask_data.tracker import KeypointTracker
+from bask_data.tracker import Keypoints, KeypointTracker, Look
 from tests.datasets import publish_artifact
 from tests.tracked import (
     HEIGHT,
@@ -245,34 +245,32 @@ def test_what_another_attempt_left_without_a_state_is_not_gone_on_with(tmp_path:
     assert np.isfinite(KeypointTrack(out).mean).all()
 
 
-def test_memory_does_not_grow_with_the_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    size, n_keypoints, lengths = (8, 8), 256, (12, 48)
+def test_memory_does_not_grow_with_the_length(
+    tmp_path: Path, network: ColourNetwork, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(arrays, "CHUNK_ROWS", 8)
-    dataset = dataset_of(tmp_path / "d", {"wrist": poses()})
-    tracked(dataset, filter="expectation")  # What is imported stays.
-    picks = ReferenceKeypoints(dataset.path(ReferenceKeypoints)).picks
-    many = [picks[0].model_copy(update={"name": f"k{i}"}) for i in range(n_keypoints)]
-    ReferenceKeypoints.write(tmp_path / "r", descriptors=np.zeros((n_keypoints, 3), np.float32), picks=many)
-    peaks = []
-    for n in lengths:
-        group = Demonstration.start(tmp_path / f"demonstration{n}", "test", {})
-        image = np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8), np.full(size, 9000, np.uint16)
-        transforms = {"K": K, "world_from_cameras": np.tile(np.eye(4), (n, 1, 1)), "time": np.arange(n) / 30}
-        Demonstration.write_camera(
-            group, "wrist", **transforms, depth_scale=1e-4, size=size, read=lambda i, image=image: image
-        )
-        inputs = (
-            Demonstration(tmp_path / f"demonstration{n}"),
-            DescriptorNet(tmp_path),
-            ReferenceKeypoints(tmp_path / "r"),
-        )
-        (tmp_path / f"out{n}").mkdir()
-        tracemalloc.start()
-        encode(*inputs, truths=[], params=EncodeParams(filter="expectation"), out=tmp_path / f"out{n}")
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-    # A frame of the track takes 39 kB. Python's own garbage makes peaks differ by a few hundred.
-    assert (peaks[1] - peaks[0]) / (lengths[1] - lengths[0]) < 15_000
+    dataset = dataset_of(tmp_path / "d", {"wrist": np.tile(poses(), (6, 1, 1))})
+    images, rows, most = [], [], {"images": 0, "rows": 0}
+    describe, update = network.distance_maps, KeypointTracker.update
+
+    def watched_maps(given: np.ndarray, references: np.ndarray) -> np.ndarray:
+        maps = describe(given, references)
+        images.append(weakref.ref(maps))
+        return maps
+
+    def watched_update(self: KeypointTracker, look: Look, world_from_gripper: np.ndarray | None = None) -> Keypoints:
+        found = update(self, look, world_from_gripper)
+        rows.append(weakref.ref(found.covariance))
+        for name, kept in (("images", images), ("rows", rows)):
+            most[name] = max(most[name], sum(one() is not None for one in kept))
+        return found
+
+    monkeypatch.setattr(network, "distance_maps", watched_maps)
+    monkeypatch.setattr(KeypointTracker, "update", watched_update)
+    track = tracked(dataset, filter="expectation")
+    assert len(track.mean) == len(rows) == len(images) == 6 * N_FRAMES
+    # Those that are used, and some ahead of them.
+    assert most["images"] <= 8 and most["rows"] <= 4
 
 
 def test_it_tells_how_many_frames_a_second_it_did(tmp_path: Path) -> None:

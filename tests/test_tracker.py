@@ -1,0 +1,255 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bask_data
+from bask_data.core.bayes_filter import ParticleSettings, Settings, settings_named
+from bask_data.errors import BadData
+from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Robot
+from bask_data.stages.encode import EncodeParams, dropped, encode
+from bask_data.tracker import Keypoints, KeypointTracker
+from tests.tracked import N_FRAMES, ColourNetwork, dataset_of, keypoints, poses, side_poses
+
+FILTERS = ("expectation", "discrete", "particle")
+SEED, DROPOUT = 7, 0.4
+
+
+def robot() -> Robot:
+    """A gripper that passes by the first keypoint."""
+    grippers = np.tile(np.eye(4), (N_FRAMES, 1, 1))
+    grippers[:, :3, 3] = keypoints()[1][0] + 0.01 * (np.arange(N_FRAMES)[:, None] - 4)
+    return Robot(world_from_gripper=grippers)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> bask_data.dataset.Dataset:
+    cameras = {"side": side_poses(), "wrist": poses()}
+    return dataset_of(tmp_path_factory.mktemp("tracked") / "d", cameras, robot())
+
+
+@pytest.fixture
+def demonstration(dataset) -> Demonstration:
+    return Demonstration(dataset.path(Demonstration, "reach"))
+
+
+@pytest.fixture
+def reference(dataset) -> ReferenceKeypoints:
+    return ReferenceKeypoints(dataset.path(ReferenceKeypoints))
+
+
+def settings_of(filter: str) -> Settings:
+    return settings_named(filter, n_particles=200) if filter == "particle" else settings_named(filter)
+
+
+def stepped(tracker: KeypointTracker, demonstration: Demonstration, i_frame: int, names: list[str]) -> Keypoints:
+    cameras = [demonstration.camera(name) for name in names]
+    return tracker.step(
+        images={camera.name: camera.rgb(i_frame) for camera in cameras},
+        depths={camera.name: camera.depth(i_frame) for camera in cameras},
+        intrinsics={camera.name: camera.K for camera in cameras},
+        world_from_cameras={camera.name: camera.world_from_cameras[i_frame] for camera in cameras},
+        world_from_gripper=demonstration.robot.world_from_gripper[i_frame],
+    )
+
+
+def same(one: Keypoints, other: Keypoints) -> None:
+    for name in ("mean", "covariance", "mode", "n_eff", "log_evidence"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    for name in ("pixel", "observed"):
+        mine, its = getattr(one, name), getattr(other, name)
+        assert mine.keys() == its.keys()
+        for camera in mine:
+            np.testing.assert_array_equal(mine[camera], its[camera], err_msg=f"{camera} {name}")
+
+
+def is_the_track(track: KeypointTrack, i_frame: int, found: Keypoints) -> None:
+    for name in ("mean", "covariance", "mode", "n_eff", "log_evidence"):
+        expected = getattr(found, name).astype(np.float32)
+        np.testing.assert_array_equal(getattr(track, name)[i_frame], expected, err_msg=f"{i_frame} {name}")
+    for camera in track.camera_names:
+        np.testing.assert_array_equal(track.pixel(camera)[i_frame], found.pixel[camera].astype(np.float32))
+        np.testing.assert_array_equal(track.observed(camera)[i_frame], found.observed[camera])
+
+
+# As encode ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("filter", FILTERS)
+def test_a_tracker_gives_exactly_what_encode_gives(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    demonstration: Demonstration,
+    reference: ReferenceKeypoints,
+    filter: str,
+) -> None:
+    monkeypatch.setattr(DescriptorNet, "network", lambda self: ColourNetwork())
+    params = EncodeParams(filter=filter, n_particles=200, seed=SEED, dropout=DROPOUT)
+    encode(demonstration, DescriptorNet(tmp_path), reference, truths=[], params=params, out=tmp_path)
+    track = KeypointTrack(tmp_path)
+    names = demonstration.camera_names
+    tracker = KeypointTracker(ColourNetwork(), reference, settings_of(filter), seed=SEED, cameras=names)
+    missing = dropped(N_FRAMES, len(names), DROPOUT, SEED)
+    assert missing[0].any() and missing.all(axis=1).any() and not missing.all()
+    for i_frame in range(N_FRAMES):
+        shown = [name for name, is_missing in zip(names, missing[i_frame], strict=True) if not is_missing]
+        is_the_track(track, i_frame, stepped(tracker, demonstration, i_frame, shown))
+
+
+def test_with_a_network_too(tmp_path: Path, demonstration: Demonstration) -> None:
+    import torch
+
+    from bask_data.nn.network import DescriptorNetwork, NetworkSettings
+
+    torch.manual_seed(0)
+    network = DescriptorNetwork(NetworkSettings("resnet18", descriptor_dim=4, height=32)).eval()
+    for name in ("descriptor", "reference", "out"):
+        (tmp_path / name).mkdir()
+    network.save(tmp_path / "descriptor")
+    descriptor = DescriptorNet(tmp_path / "descriptor")
+    picked = network.descriptors_at(demonstration.camera("wrist").rgb(0), keypoints()[0].astype(np.float32)).numpy()
+    picks = [Pick(name=f"k{i}", recording="reach", camera="wrist", frame=0, u=0, v=0) for i in range(3)]
+    ReferenceKeypoints.write(tmp_path / "reference", descriptors=picked, picks=picks)
+    reference = ReferenceKeypoints(tmp_path / "reference")
+    params = EncodeParams(n_particles=100)
+    encode(demonstration, descriptor, reference, truths=[], params=params, out=tmp_path / "out")
+    track = KeypointTrack(tmp_path / "out")
+    tracker = bask_data.KeypointTracker(
+        tmp_path / "descriptor", str(tmp_path / "reference"), ParticleSettings(n_particles=100), device="cpu"
+    )
+    for i_frame in range(3):
+        is_the_track(track, i_frame, stepped(tracker, demonstration, i_frame, ["side", "wrist"]))
+
+
+# As such --------------------------------------------------------------------------------------------------------------
+
+
+def test_the_package_offers_the_tracker_and_does_not_load_it_unasked() -> None:
+    assert bask_data.KeypointTracker is KeypointTracker
+    with pytest.raises(AttributeError, match="module 'bask_data' has no attribute 'Tracker'"):
+        _ = bask_data.Tracker
+    code = "import bask_data, sys; sys.exit('bask_data.tracker' in sys.modules or 'numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_a_camera_that_comes_later_is_taken_in(demonstration: Demonstration, reference: ReferenceKeypoints) -> None:
+    tracker = KeypointTracker(ColourNetwork(), reference)
+    alone = stepped(tracker, demonstration, 0, ["wrist"])
+    assert set(alone.pixel) == {"wrist"} and set(tracker.observations) == {"wrist"}
+    for i_frame in (1, 2, 3):
+        both = stepped(tracker, demonstration, i_frame, ["side", "wrist"])
+    assert tracker.cameras == ["wrist", "side"] and tracker.n_steps == 4
+    assert both.observed["side"].all()
+    assert np.linalg.norm(both.mean - keypoints()[1], axis=1).max() < 0.02
+    none = stepped(tracker, demonstration, 4, [])
+    assert np.isnan(none.pixel["side"]).all() and not none.observed["wrist"].any()
+    assert np.linalg.norm(none.mean - keypoints()[1], axis=1).max() < 0.03
+
+
+def test_before_any_frame_nothing_is_known(demonstration: Demonstration, reference: ReferenceKeypoints) -> None:
+    tracker = KeypointTracker(ColourNetwork(), reference)
+    found = stepped(tracker, demonstration, 0, [])
+    assert found.names == ("k0", "k1", "k2")
+    assert found.mean.shape == (3, 3) and np.isnan(found.mean).all()
+
+
+def test_after_a_reset_all_comes_again(demonstration: Demonstration, reference: ReferenceKeypoints) -> None:
+    tracker = KeypointTracker(ColourNetwork(), reference, ParticleSettings(n_particles=100))
+    first = [stepped(tracker, demonstration, i, ["wrist", "side"][: i + 1]) for i in (0, 1)]
+    tracker.reset()
+    assert tracker.belief is None and tracker.n_steps == 0 and tracker.cameras == []
+    for i, one in enumerate(first):
+        same(one, stepped(tracker, demonstration, i, ["wrist", "side"][: i + 1]))
+
+
+def test_a_gripper_not_told_of_has_moved_by_the_next_time(
+    demonstration: Demonstration, reference: ReferenceKeypoints
+) -> None:
+    tracker = KeypointTracker(ColourNetwork(), reference)
+    nothing = ({}, {}, {}, {})
+    far = np.eye(4)
+    far[:3, 3] = [0.1, 0.0, 0.0]
+    assert tracker._moved(None) is None and tracker._moved(np.eye(4)) is None
+    tracker.step(*nothing)
+    moved = tracker._moved(far)
+    np.testing.assert_array_equal(moved.world_from_gripper_before, np.eye(4))
+    np.testing.assert_array_equal(moved.world_from_gripper, far)
+
+
+@pytest.mark.parametrize("filter", FILTERS)
+@pytest.mark.parametrize("n_before", [0, 2])
+def test_a_tracker_goes_on_from_its_file(
+    tmp_path: Path, demonstration: Demonstration, reference: ReferenceKeypoints, filter: str, n_before: int
+) -> None:
+    # One camera at first: a belief may lack those that have not given a frame yet.
+    begun = KeypointTracker(ColourNetwork(), reference, settings_of(filter), seed=SEED, cameras=["side", "wrist"])
+    for i_frame in range(n_before):
+        stepped(begun, demonstration, i_frame, ["wrist"])
+    begun.save(tmp_path / "state")
+    again = KeypointTracker(ColourNetwork(), reference, settings_of(filter), cameras=["side", "wrist"])
+    again.load(tmp_path / "state")
+    assert again.n_steps == n_before and [one.name for one in tmp_path.iterdir()] == ["state"]
+    for i_frame in range(n_before, n_before + 3):
+        both = [stepped(one, demonstration, i_frame, ["side", "wrist"]) for one in (begun, again)]
+        same(*both)
+
+
+@pytest.mark.parametrize("content", [b"", b"12345678 nothing"])
+def test_a_file_that_is_no_state_is_refused(tmp_path: Path, reference: ReferenceKeypoints, content: bytes) -> None:
+    (tmp_path / "state").write_bytes(content)
+    with pytest.raises(BadData, match="state: expected a tracker's state, got "):
+        KeypointTracker(ColourNetwork(), reference).load(tmp_path / "state")
+
+
+def test_a_state_of_another_filter_is_refused(
+    tmp_path: Path, demonstration: Demonstration, reference: ReferenceKeypoints
+) -> None:
+    discrete = KeypointTracker(ColourNetwork(), reference, settings_named("discrete"))
+    stepped(discrete, demonstration, 0, ["wrist"])
+    discrete.save(tmp_path / "state")
+    with pytest.raises(BadData, match="expected a tracker's state, got KeyError"):
+        KeypointTracker(ColourNetwork(), reference, settings_named("particle")).load(tmp_path / "state")
+
+
+# What is refused ------------------------------------------------------------------------------------------------------
+
+
+def test_references_of_another_network_are_refused(tmp_path: Path) -> None:
+    picks = [Pick(name="a", recording="reach", camera="wrist", frame=0, u=0, v=0)]
+    ReferenceKeypoints.write(tmp_path / "r", descriptors=np.zeros((1, 4), np.float32), picks=picks)
+    with pytest.raises(BadData, match="descriptors: expected 3 values each, as the network gives, got 4"):
+        KeypointTracker(ColourNetwork(), tmp_path / "r")
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"images": np.zeros((8, 8, 3))}, r"camera a: image: expected \(h, w, 3\) uint8, got \(8, 8, 3\) float64"),
+        ({"images": np.zeros((8, 8), np.uint8)}, r"image: expected \(h, w, 3\) uint8, got \(8, 8\) uint8"),
+        ({"depths": None}, r"camera a: depth: expected \(8, 8\) in metres, as the image, got none"),
+        ({"depths": np.ones((4, 8))}, r"depth: expected \(8, 8\) in metres, as the image, got \(4, 8\) float64"),
+        ({"depths": np.ones((8, 8), np.uint16)}, r"in metres, as the image, got \(8, 8\) uint16"),
+        ({"intrinsics": None}, r"camera a: intrinsics: expected \(3, 3\), got none"),
+        ({"intrinsics": np.eye(4)}, r"intrinsics: expected \(3, 3\), got \(4, 4\)"),
+        ({"world_from_cameras": None}, r"world_from_camera: expected a rigid transform \(4, 4\), got none"),
+        ({"world_from_cameras": np.eye(3)}, r"expected a rigid transform \(4, 4\), got \(3, 3\)"),
+        ({"world_from_cameras": 2 * np.eye(4)}, r"expected a rigid transform \(4, 4\), got last row"),
+    ],
+)
+def test_what_a_filter_would_be_lost_by_is_refused(
+    reference: ReferenceKeypoints, changed: dict[str, object], message: str
+) -> None:
+    given = {
+        "images": np.zeros((8, 8, 3), np.uint8),
+        "depths": np.ones((8, 8), np.float32),
+        "intrinsics": np.eye(3),
+        "world_from_cameras": np.eye(4),
+    }
+    given |= changed
+    arguments = {name: {} if value is None else {"a": value} for name, value in given.items()}
+    with pytest.raises(ValueError, match=message):
+        KeypointTracker(ColourNetwork(), reference).step(**arguments)
