@@ -980,6 +980,9 @@ def view(
     every: Annotated[int, typer.Option(min=1, help="Show each so many-th frame.")] = 1,
     pairs: Annotated[int, typer.Option(min=0, help="Most pairs of views whose matches are shown, a scene.")] = 40,
     variant: Annotated[str, typer.Option(help="Of network, heat maps and keypoints.", metavar="NAME")] = "main",
+    beliefs: Annotated[
+        bool, typer.Option("--beliefs", help="Track again, to show the filter's particles or maps in each frame.")
+    ] = False,
     video: Annotated[
         Path | None,
         typer.Option(
@@ -1014,7 +1017,7 @@ def view(
     with TemporaryDirectory(prefix="bask-data-") as folder:
         file = save or Path(folder) / f"{root.resolve().name}.rrd"
         with shown_progress():
-            shown = save_recording(dataset, file, Choice(items, every, pairs, variant), force=force)
+            shown = save_recording(dataset, file, Choice(items, every, pairs, variant, beliefs), force=force)
         for name, one in shown.items():
             _show_shown(name, one)
         if json_:

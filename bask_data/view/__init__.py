@@ -32,12 +32,14 @@ class Choice:
         every: shows each so many-th frame.
         n_pairs: most pairs of views whose matches are shown, for each scene.
         variant: of descriptor network, reference keypoints and tracks.
+        beliefs: track demonstrations again, to show what the filter believes in each frame.
     """
 
     items: Sequence[str]
     every: int = 1
     n_pairs: int = 40
     variant: str = "main"
+    beliefs: bool = False
 
 
 @dataclass

@@ -2,11 +2,11 @@
 
 Every item has a tree of its own, `/<item>`, as items have world frames of their own:
 
-    world/cameras/<camera>/{rgb,depth,masks,inferred,truth,keypoints}
+    world/cameras/<camera>/{rgb,depth,masks,inferred,truth,keypoints,particles}
     world/camera_paths/<camera>
     world/{surface,instances,boxes}            world/matches, matches/{images,lines,points}
-    world/{keypoints,spread,keypoint_paths}    world/{gripper,gripper_path}
-    heat/<camera>/<point>/{map,best,truth,error}    heat/reference
+    world/{keypoints,particles,spread,keypoint_paths}    world/{gripper,gripper_path}
+    heat/<camera>/<point>/{map,best,truth,error}    heat/reference    belief/<camera>/<point>
     plots/{spread,gripper_width,action}
 
 Times are `frame`, counted from 0, `time` in seconds and, for matches, `pair`.
@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bask_data.dataset import Dataset
-from bask_data.kinds import Scan
+from bask_data.kinds import Demonstration, Scan
 from bask_data.report.figures import find_recording
 from bask_data.view import Choice, Shown
+from bask_data.view.beliefs import draw_beliefs
 from bask_data.view.demonstrations import draw_demonstration
 from bask_data.view.frames import draw_frames
 from bask_data.view.heat import draw_heat
@@ -52,6 +53,8 @@ def draw_item(recording: rerun.RecordingStream, dataset: Dataset, name: str, cho
         draw_matches(sheet, drawn, dataset, name, source, choice.n_pairs)
     if name in dataset.file.demonstrations:
         draw_demonstration(sheet, drawn, dataset, name, source, choice)
+    if choice.beliefs and isinstance(source, Demonstration):
+        draw_beliefs(sheet, drawn, dataset, source, choice)
     if source is not None:
         draw_heat(sheet, drawn, dataset, name, source, choice)
     return drawn

@@ -40,7 +40,8 @@ def _item(item: Drawn) -> Any:
 
 
 def _heat(item: Drawn) -> Any:
-    """All points beside each other, and where they were picked; a tab for each camera. None without any."""
+    """All points beside each other, and where they were picked; a tab for each camera, and for what a filter believes
+    of it. None without any."""
     import rerun.blueprint as rrb
 
     cameras = [
@@ -53,6 +54,16 @@ def _heat(item: Drawn) -> Any:
             name=f"Heat maps, {camera}",
         )
         for camera, points in item.heated.items()
+    ]
+    cameras += [
+        rrb.Grid(
+            *[
+                rrb.Spatial2DView(origin=f"/{item.name}/belief/{_escaped(camera)}/{_escaped(point)}", name=point)
+                for point in points
+            ],
+            name=f"Belief, {camera}",
+        )
+        for camera, points in item.believed.items()
     ]
     return rrb.Tabs(*cameras, active_tab=0) if cameras else None
 
@@ -78,7 +89,7 @@ def _space(item: Drawn, name: str, *, hidden: Sequence[str], depth: bool) -> Any
     overrides: dict[Any, Any] = {f"{root}/{layer}": rrb.EntityBehavior(visible=False) for layer in hidden}
     for camera in item.cameras:
         place = f"{root}/cameras/{_escaped(camera)}"
-        for layer in ("truth", "inferred", "keypoints", *(() if depth else ("depth",))):
+        for layer in ("truth", "inferred", "keypoints", "particles", *(() if depth else ("depth",))):
             overrides[f"{place}/{layer}"] = rrb.EntityBehavior(visible=False)
     eye = None
     if item.eye is not None:
@@ -107,7 +118,7 @@ def _images(item: Drawn, camera: str) -> Any:
 
     origin = f"/{item.name}/world/cameras/{_escaped(camera)}"
     hidden: dict[Any, Any] = {f"{origin}/{layer}": rrb.EntityBehavior(visible=False) for layer in ("truth", "inferred")}
-    colour = [f"$origin/{layer}" for layer in ("rgb", "masks", "inferred", "truth", "keypoints")]
+    colour = [f"$origin/{layer}" for layer in ("rgb", "masks", "inferred", "truth", "particles", "keypoints")]
     return rrb.Horizontal(
         rrb.Spatial2DView(origin=origin, contents=colour, name=camera, overrides=hidden),
         rrb.Spatial2DView(origin=origin, contents=["$origin/depth"], name=f"{camera}, depth"),

@@ -45,6 +45,7 @@ class Drawn:
     Args:
         layers: entities that exist, by their first name below the item or its world.
         heated: points that have heat maps, by camera.
+        believed: keypoints that have maps of what a filter believes, by camera.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Drawn:
     cameras: list[str] = field(default_factory=list)
     layers: set[str] = field(default_factory=set)
     heated: dict[str, list[str]] = field(default_factory=dict)
+    believed: dict[str, list[str]] = field(default_factory=dict)
     eye: Eye | None = None
 
     def note(self, there: bool, layer: str, otherwise: str) -> None:

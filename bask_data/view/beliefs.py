@@ -1,0 +1,143 @@
+"""What a filter believes in each frame, not only the mean of it: particles, or a map over each camera's pixels.
+
+A track does not keep it, so the demonstration is tracked again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bask_data.core.bayes_filter import Estimate
+from bask_data.core.discrete_filter import DiscreteBelief
+from bask_data.core.geometry import scale_pixels
+from bask_data.core.heatmap import Observation, pixels_of, softmax_map
+from bask_data.core.particle_filter import ParticleBelief, stratified
+from bask_data.dataset import Dataset
+from bask_data.kinds import Camera, Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints
+from bask_data.progress import progress
+from bask_data.report.figures import find, input_variant
+from bask_data.report.pictures import heat_picture, palette
+from bask_data.stages.encode import EncodeParams, cameras_of, dropped, grippers_of, settings_of
+from bask_data.tracker import Keypoints, KeypointTracker
+from bask_data.view import Choice
+from bask_data.view.sheet import CORNER, Drawn, Sheet, jpeg, reading
+
+N_PARTICLES = 150
+"""Particles shown of each keypoint, drawn by their weight: as many more would only hide them."""
+SAME = 1e-3
+"""Metres within which means tracked again are those of the track."""
+WIDTH = 256
+"""Pixels of a map's picture, at most."""
+
+
+def draw_beliefs(sheet: Sheet, drawn: Drawn, dataset: Dataset, demonstration: Demonstration, choice: Choice) -> None:
+    """Track again as the demonstration's track was made, and show particles, or maps over pixels, in each frame."""
+    track = find(dataset, KeypointTrack, demonstration.path.name, choice.variant)
+    if track is None:
+        return  # Which is said of the keypoints.
+    with reading(track):
+        tracker, params = _tracker(dataset, track, choice.variant)
+        if tracker is None:
+            drawn.note(False, "beliefs", "the network or references of the track are not there, or it is of truth")
+            return
+        cameras = cameras_of(demonstration, params.cameras)
+        grippers = grippers_of(demonstration, cameras[0].n_frames)
+        shown = ~dropped(cameras[0].n_frames, len(cameras), params.dropout, params.seed)
+        is_same = True
+        for i_frame in progress(range(len(track.mean)), f"tracking again in {sheet.item}"):
+            found = _step(tracker, cameras, shown[i_frame], i_frame, None if grippers is None else grippers[i_frame])
+            is_same &= np.allclose(found.mean, track.mean[i_frame], atol=SAME, equal_nan=True)
+            if i_frame % choice.every == 0:
+                time = cameras[0].time
+                with sheet.at(frame=i_frame, seconds=float(time[i_frame] - time[0])):
+                    _draw(sheet, drawn, tracker, cameras, i_frame, settings_of(params).alpha)
+    drawn.note(is_same, "beliefs", "tracked again, keypoints are elsewhere: bask-data encode --force")
+
+
+def _tracker(dataset: Dataset, track: KeypointTrack, variant: str) -> tuple[KeypointTracker | None, EncodeParams]:
+    """A tracker at its beginning, as the track was made; None where something of it is gone."""
+    known = {name: value for name, value in track.manifest.params.items() if name in EncodeParams.model_fields}
+    params = EncodeParams.model_validate(known)
+    descriptor = input_variant(dataset, track, DescriptorNet, variant)
+    reference = input_variant(dataset, track, ReferenceKeypoints, variant)
+    if params.source == "truth" or descriptor is None or reference is None:
+        return None, params
+    return KeypointTracker(descriptor, reference, settings_of(params), params.seed, cameras=track.camera_names), params
+
+
+def _step(
+    tracker: KeypointTracker, cameras: Sequence[Camera], shown: np.ndarray, i_frame: int, gripper: np.ndarray | None
+) -> Keypoints:
+    used = [camera for camera, is_shown in zip(cameras, shown, strict=True) if is_shown]
+    return tracker.step(
+        {camera.name: camera.rgb(i_frame) for camera in used},
+        {camera.name: camera.depth(i_frame) for camera in used},
+        {camera.name: camera.K for camera in used},
+        {camera.name: camera.world_from_cameras[i_frame] for camera in used},
+        gripper,
+    )
+
+
+def _draw(
+    sheet: Sheet, drawn: Drawn, tracker: KeypointTracker, cameras: Sequence[Camera], i_frame: int, alpha: float
+) -> None:
+    belief = tracker.belief
+    if isinstance(belief, ParticleBelief):
+        drawn.layers.add("particles")
+        _draw_particles(sheet, belief, tracker, cameras)
+    elif isinstance(belief, DiscreteBelief):
+        for name, one in zip(tracker.cameras, belief.cameras, strict=True):
+            if one is not None:
+                _draw_maps(sheet, drawn, tracker, cameras, name, one.inside, i_frame)
+    elif isinstance(belief, Estimate):
+        for name, seen in tracker.observations.items():
+            _draw_maps(sheet, drawn, tracker, cameras, name, softmax_map(seen.distance, alpha)[0], i_frame)
+
+
+def _draw_particles(sheet: Sheet, belief: ParticleBelief, tracker: KeypointTracker, cameras: Sequence[Camera]) -> None:
+    """Some particles of each keypoint, as many of them in a place as there is weight, in space and in the images."""
+    import rerun as rr
+
+    k = len(belief.weight)
+    n = min(N_PARTICLES, belief.weight.shape[1])
+    chosen = np.stack([stratified(weight, np.full(n, 0.5)) for weight in belief.weight])
+    points = belief.points_world[np.arange(k)[:, None], chosen].reshape(-1, 3)
+    colours = np.repeat(np.array(palette(k), np.uint8).reshape(-1, 3), n, axis=0)
+    known = np.isfinite(points).all(axis=1)
+    sheet.log(("world", "particles"), rr.Points3D(points[known], colors=colours[known], radii=rr.Radius.ui_points(1.2)))
+    for camera in cameras:
+        seen = tracker.observations.get(camera.name)
+        uv = np.zeros((0, 2)) if seen is None else _in_image(points[known], seen, camera)
+        inside = np.isfinite(uv).all(axis=1) & (uv >= 0).all(axis=1) & (uv < [camera.width, camera.height]).all(axis=1)
+        sheet.log(
+            ("world", "cameras", camera.name, "particles"),
+            rr.Points2D(uv[inside] + CORNER, colors=colours[known][: len(uv)][inside], radii=rr.Radius.ui_points(1.2)),
+        )
+
+
+def _in_image(points_world: np.ndarray, seen: Observation, camera: Camera) -> np.ndarray:
+    """Pixels (n, 2) of the camera's images; NaN behind it."""
+    return scale_pixels(pixels_of(points_world, seen), seen.depth.shape, (camera.height, camera.width))
+
+
+def _draw_maps(
+    sheet: Sheet,
+    drawn: Drawn,
+    tracker: KeypointTracker,
+    cameras: Sequence[Camera],
+    name: str,
+    maps: np.ndarray,
+    i_frame: int,
+) -> None:
+    """The belief over a camera's pixels, of each keypoint, over the frame."""
+    import rerun as rr
+
+    [camera] = [one for one in cameras if one.name == name]
+    rgb = camera.rgb(i_frame)
+    places = [f"{i + 1} {point}" for i, point in enumerate(tracker.names)]
+    drawn.believed[name] = places
+    for place, heat in zip(places, maps, strict=True):
+        picture = heat_picture(rgb, heat, [], min(WIDTH, rgb.shape[1]))
+        sheet.log(("belief", name, place), rr.EncodedImage(contents=jpeg(picture), media_type="image/jpeg"))
