@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -22,6 +23,9 @@ FormatName = Literal["parquet", "lerobot", "robomimic", "diffusion-policy"]
 
 DESCRIPTION = "bask.json"
 """File in an exported folder that says what its numbers mean."""
+
+FILE = "file"
+"""Name of an export that is a single file, until it has its own."""
 
 HDF5 = (".hdf5", ".h5")
 
@@ -69,23 +73,17 @@ def export(dataset: Dataset, out: Path, format: FormatName, choice: Choice, *, f
     _refuse(out, format, force)
     episodes = Episodes(dataset, choice)
     writer = import_module(f"bask_data.export.{format.replace('-', '_')}")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    recover(out.parent)
-    scratch = new_scratch(out.parent, "export")
     try:
-        notes = writer.write(scratch, episodes)
-        n_bytes = _sync(scratch)
-        if (scratch / "file").exists():
-            os.replace(scratch / "file", out)
-        else:
-            publish(scratch, out)
+        with _scratch_beside(out) as scratch:
+            notes = writer.write(scratch, episodes)
+            n_bytes = _sync(scratch)
+            if (scratch / FILE).exists():
+                os.replace(scratch / FILE, out)
+            else:
+                publish(scratch, out)
     except OSError as error:
-        fix = "see that the disk has room."
+        fix = "see that the disk has room, and that you may write there."
         raise BaskError(out, "", expected="a place that takes all", got=str(error)[:200], fix=fix) from error
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
-        with suppress(OSError):
-            (out.parent / SCRATCH).rmdir()
     return Exported(
         path=str(out),
         format=format,
@@ -96,6 +94,20 @@ def export(dataset: Dataset, out: Path, format: FormatName, choice: Choice, *, f
         cameras=list(episodes.cameras),
         notes=[*_gaps(episodes), *episodes.notes, *notes],
     )
+
+
+@contextmanager
+def _scratch_beside(out: Path) -> Iterator[Path]:
+    """A folder on the same file system, gone at the end; those of exports that were killed go, too."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    recover(out.parent)
+    scratch = new_scratch(out.parent, "export")
+    try:
+        yield scratch
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+        with suppress(OSError):
+            (out.parent / SCRATCH).rmdir()
 
 
 def write_description(folder: Path, described: dict[str, Any]) -> None:

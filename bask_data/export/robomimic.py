@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from bask_data.errors import MissingDependency
+from bask_data.export import FILE
 from bask_data.export.episodes import Episode, Episodes
 from bask_data.export.images import blocks
 from bask_data.progress import progress
@@ -38,14 +39,14 @@ def import_h5py() -> ModuleType:
 
 
 def write(out: Path, episodes: Episodes) -> list[str]:
-    """Write `out/file`; what robomimic will not like about the actions."""
+    """Write one file; what robomimic will not like about the actions."""
     h5py = import_h5py()
     episodes.require("action")
     largest = 0.0
     # The earliest layout that holds all this: readers open it whatever their version.
-    with h5py.File(out / "file", "w", libver="earliest") as file:
-        described = json.dumps(episodes.described("robomimic"), ensure_ascii=False, allow_nan=False)
-        file.attrs["bask"] = described
+    with h5py.File(out / FILE, "w", libver="earliest") as file:
+        # Not an attribute: those take 64 kB, and a few hundred demonstrations are more.
+        file["bask"] = json.dumps(episodes.described("robomimic"), ensure_ascii=False, allow_nan=False)
         data = file.create_group("data")
         data.attrs["total"] = episodes.n_frames
         environment = {"env_name": episodes.dataset.file.name, "type": NO_ENVIRONMENT, "env_kwargs": {}}
@@ -74,7 +75,6 @@ def _write_episode(group: Any, episode: Episode, episodes: Episodes) -> None:
             # It makes tensors of what it reads as it is, and multiplies them: no truth values.
             values = episode.values[column.name]
             group[f"obs/{column.name}"] = values.astype(np.float32) if column.dtype == "bool" else values
-            group[f"obs/{column.name}"].attrs["values"] = _bytes(column.values)
             group[f"obs/{column.name}"].attrs.update({"units": column.units, "description": column.description})
     group["actions"].attrs["values"] = _bytes(episodes.column("action").values)
     for name, camera in episode.cameras.items():

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import json
+import socket
 import sys
+import weakref
 from pathlib import Path
 from typing import get_args
 
@@ -19,7 +21,7 @@ from bask_data.dataset import Dataset
 from bask_data.errors import BadData, BaskError, MissingDependency, UsageError, WouldOverwrite
 from bask_data.export import Choice, FormatName, export
 from bask_data.export.episodes import Episodes, held
-from bask_data.kinds import KeypointTrack, Robot
+from bask_data.kinds import Camera, KeypointTrack, Robot
 from tests.export.encoded import KEYPOINTS, Demo, state
 
 NAMES = {"parquet": "out", "lerobot": "out", "robomimic": "out.hdf5", "diffusion-policy": "out.zarr"}
@@ -149,7 +151,7 @@ def test_every_format_says_what_its_numbers_mean(encoded, tmp_path: Path, format
     export(encoded[0], out, format, Choice(noise=0.02, seed=7, test=("c",)))
     if format == "robomimic":
         with h5py.File(out) as file:
-            said = json.loads(file.attrs["bask"])
+            said = json.loads(file["bask"].asstr()[()])
     elif format == "diffusion-policy":
         said = json.loads((out / ".zattrs").read_text())["bask"]
     else:
@@ -360,10 +362,45 @@ def test_without_actions_there_is_no_policy_to_learn(tmp_path: Path, format: For
         export(one(tmp_path / "d", demo), tmp_path / NAMES[format], format, Choice())
 
 
-def test_reading_an_episode_reads_no_other(encoded) -> None:
-    episodes = iter(Episodes(encoded[0], Choice()))
-    first = next(episodes)
-    assert (first.entry.name, first.values["keypoints"].shape) == ("a", (12, 6))
+@FORMATS
+def test_few_images_are_in_memory_at_a_time(
+    tmp_path: Path, format: FormatName, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, alive, most = Camera.rgb, [], 0
+
+    def counted(self: Camera, i_frame: int) -> np.ndarray:
+        nonlocal alive, most
+        image = read(self, i_frame).copy()
+        alive = [one for one in [*alive, weakref.ref(image)] if one() is not None]
+        most = max(most, len(alive))
+        return image
+
+    dataset = one(tmp_path / "d", Demo(0, 90))
+    monkeypatch.setattr(Camera, "rgb", counted)
+    export(dataset, tmp_path / NAMES[format], format, Choice(videos=True))
+    assert 1 <= most <= 34
+
+
+def test_one_demonstration_is_in_memory_at_a_time(encoded) -> None:
+    alive: list[weakref.ref] = []
+    for episode in Episodes(encoded[0], Choice()):
+        alive.append(weakref.ref(episode.values["keypoints"]))
+        assert [one() is not None for one in alive] == [False] * (len(alive) - 1) + [True]
+        del episode
+    assert len(alive) == 3
+
+
+def test_what_a_killed_export_left_is_cleared_away(encoded, tmp_path: Path) -> None:
+    left = tmp_path / ".scratch" / f"export~{socket.gethostname()}~999999999~0"
+    left.mkdir(parents=True)
+    export(encoded[0], tmp_path / "out", "parquet", Choice())
+    assert [file.name for file in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_place_where_nothing_can_be_written_is_told(encoded, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(BaskError, match="expected a place that takes all, got .*exists"):
+        export(encoded[0], tmp_path / "file" / "out", "parquet", Choice())
 
 
 def cli(*arguments: object) -> Result:
