@@ -70,6 +70,7 @@ _CODE: dict[Filter, Settings] = {
         draw_sharpness=1.0,
         redraw_share=0.05,
         redraw_mass=0.05,
+        n_lookalikes=0,
     ),
 }
 

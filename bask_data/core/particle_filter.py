@@ -6,17 +6,18 @@ therefore does not depend on which others are tracked beside it, and drawing cos
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from numpy.random import Generator
-from scipy.special import ndtr
 
-from bask_data.core.geometry import in_image, invert_rigid, project, transform, unproject
+from bask_data.core.compiled import compiled
+from bask_data.core.geometry import invert_rigid, transform, unproject
 from bask_data.core.heatmap import (
     Estimate,
     Motion,
@@ -39,6 +40,19 @@ DRAW_BLOCK = 4
 MODE_RADIUS = 0.03
 """Metres around the mode within which particles count as one hypothesis."""
 
+LOOKALIKE_RADIUS = 0.03
+"""Metres around a look-alike that count as the same place. A track must be as sure, for what is twice as far to be a
+look-alike."""
+
+LOOKALIKE_BETTER = 1.5
+"""What matches better than a look-alike by this factor is another thing that came to its place."""
+
+FOUND = 2.0
+"""A track is found where a camera sees it match this many times better than tau."""
+
+UNFOUND_MASS = 20.0
+"""How much more weight is drawn anew until then."""
+
 N_MODES = 32
 """Number of particles whose surroundings are weighed in search of the mode."""
 
@@ -57,9 +71,9 @@ class ParticleSettings:
     """Without `tau`: how much likelier the keypoint is out of sight than at the average pixel."""
     walk: float = 0.002
     """Standard deviation of the random walk in one frame and along each axis, metres."""
-    gripper_probability: float = 0.5
+    gripper_probability: float = 0.2
     """Probability that a particle near the gripper takes part in the gripper's motion."""
-    gripper_memory: float = 0.0
+    gripper_memory: float = 0.9
     """Probability that it does in a frame what it did in the last: what is held stays held. Zero for the paper's model,
     in which every frame is drawn anew."""
     gripper_reach: float = 0.15
@@ -85,7 +99,11 @@ class ParticleSettings:
     redraw_share: float = 0.01
     """Share of the particles drawn anew from each frame's heat maps."""
     redraw_mass: float = 1e-3
-    """Weight these get together: the probability that the track has been lost, in each frame."""
+    """Weight these get together where the track is not seen to match: the probability that it has been lost, in each
+    frame."""
+    n_lookalikes: int = 64
+    """How many places to remember that matched while the keypoint was seen elsewhere: none of them is it. Zero for the
+    paper's filter: whatever looks alike takes the keypoint over, then, once that is out of sight."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +114,12 @@ class ParticleBelief:
     weight: Float[ndarray, "k n"]
     held: Bool[ndarray, "k n"]
     """Whether a particle took part in the gripper's last motion."""
+    lookalikes: Float[ndarray, "k m 3"]
+    """Places that are not the keypoint, however they match, the last found first; NaN where there are not so many."""
+    lookalike_match: Float[ndarray, "k m"]
+    """exp(-alpha z) of each."""
+    found: Bool[ndarray, "k"]
+    """Whether the track has ever been seen to match."""
 
 
 def particle_step(
@@ -119,24 +143,22 @@ def particle_step(
         drawn = first_particles(given, rng, settings)
         if drawn is None:
             return None, nothing_known(len(observations), n_keypoints(observations))
-        points, weight, likelihoods, log_prior = drawn
-        held = np.zeros(weight.shape, dtype=bool)
+        belief, looks, log_evidence = drawn
     else:
-        points, held = move(belief, motion, rng, settings)
-        likelihoods = [likelihood(points, seen, settings) for seen in given]
+        belief = move(belief, motion, rng, settings)
+        looks = [look(belief.points_world, seen, settings) for seen in given]
         with np.errstate(divide="ignore"):
             log_weight = np.log(belief.weight)
-        for total, _ in likelihoods:
-            log_weight = log_weight + np.log(total)
-        weight, log_prior = _normalised(log_weight)
-    estimate = _estimate(points, weight, likelihoods, observations, log_prior)
-    return refresh(ParticleBelief(points, weight, held), given, rng, settings), estimate
+        for one in looks:
+            log_weight = log_weight + np.log(one.likelihood)
+        weight, log_evidence = _normalised(log_weight)
+        belief = replace(belief, weight=weight)
+    estimate = _estimate(belief, looks, observations, log_evidence)
+    return refresh(belief, estimate, looks, given, rng, settings), estimate
 
 
-def move(
-    belief: ParticleBelief, motion: Motion | None, rng: Generator, settings: ParticleSettings
-) -> tuple[Float[ndarray, "k n 3"], Bool[ndarray, "k n"]]:
-    """Particles after one frame, and which of them took part in the gripper's motion.
+def move(belief: ParticleBelief, motion: Motion | None, rng: Generator, settings: ParticleSettings) -> ParticleBelief:
+    """The belief after one frame, before anything is seen of it.
 
     x + m_r + m_w G_t, with G_t the gripper's rigid motion, rotation included. m_w is drawn anew in each frame with
     probability 1 - `gripper_memory`, and is else what it was: a Markov chain whose share of ones is p_w.
@@ -148,7 +170,7 @@ def move(
     walked = points_world + settings.walk * rng.standard_normal((n, 3))
     drawn_anew, takes_part = rng.random(n) >= settings.gripper_memory, rng.random(n) < settings.gripper_probability
     if motion is None:
-        return walked, belief.held
+        return replace(belief, points_world=walked)
     now_from_before = motion.world_from_gripper @ invert_rigid(motion.world_from_gripper_before)
     position = motion.world_from_gripper_before[:3, 3]
     near = np.linalg.norm(points_world - position, axis=-1) < settings.gripper_reach
@@ -157,13 +179,26 @@ def move(
         carried = transform(now_from_before, points_world) - points_world
     else:
         carried = np.broadcast_to(motion.world_from_gripper[:3, 3] - position, points_world.shape)
-    return walked + carried * held[..., None], held
+    return replace(belief, points_world=walked + carried * held[..., None], held=held)
 
 
-def likelihood(
-    points_world: Float[ndarray, "k n 3"], seen: Observation, settings: ParticleSettings
-) -> tuple[Float[ndarray, "k n"], Float[ndarray, "k n"]]:
-    """Likelihood of a camera's frame given each particle, and the part of it that comes from the particle being seen.
+@dataclass(frozen=True)
+class Look:
+    """What one camera's frame says of each particle.
+
+    Attributes:
+        likelihood: of the frame given the particle.
+        seen: the part of it that comes from the particle being seen.
+        tau: of the frame if the camera does not see the keypoint.
+    """
+
+    likelihood: Float[ndarray, "k n"]
+    seen: Float[ndarray, "k n"]
+    tau: Float[ndarray, "k"]
+
+
+def look(points_world: Float[ndarray, "k n 3"], seen: Observation, settings: ParticleSettings) -> Look:
+    """Particles in a camera's frame.
 
         p = p_o p_f tau + (1 - p_f) tau + (1 - p_o) p_f p_d p_c
 
@@ -177,75 +212,118 @@ def likelihood(
     Source: von Hartz et al. 2023, Eq. 6 to 10.
     """
     tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
-    height, width = seen.depth.shape
     rotation, position = seen.world_from_camera[:3, :3], seen.world_from_camera[:3, 3]
-    uv, x_d = project((points_world - position) @ rotation, seen.K)
-    inside = in_image(uv, height, width)
-    i_keypoint, i_particle = np.nonzero(inside)
-    uv, x_d = uv[inside], x_d[inside]
-    nearest = np.rint(uv).astype(int).clip(0, [width - 1, height - 1])
-    z_d = seen.depth[nearest[:, 1], nearest[:, 0]].astype(np.float64)
-    measured = z_d > 0
-    sigma = settings.depth_noise * x_d + settings.depth_noise_floor
-    p_o = np.where(
-        measured, 1.0 - ndtr((z_d - (x_d - settings.occlusion_margin)) / sigma), settings.hidden_without_depth
+    noise = (settings.depth_noise, settings.depth_noise_floor, settings.occlusion_margin, settings.hidden_without_depth)
+    total, part = np.empty(points_world.shape[:2]), np.empty(points_world.shape[:2])
+    _look(
+        points_world,
+        seen.distance,
+        seen.depth,
+        rotation,
+        position,
+        seen.K,
+        settings.alpha,
+        tau,
+        np.array(noise),
+        total,
+        part,
     )
-    p_d = np.where(measured, np.exp(-0.5 * ((z_d - x_d) / sigma) ** 2), 1.0)
-    p_c = np.exp(-settings.alpha * _sampled(seen, i_keypoint, uv))
-    seen_part, total = np.zeros(inside.shape), np.tile(tau[:, None], inside.shape[1])
-    seen_part[i_keypoint, i_particle] = (1 - p_o) * p_d * p_c
-    total[i_keypoint, i_particle] = p_o * tau[i_keypoint]
-    return np.maximum(total + seen_part, LEAST_LIKELIHOOD), seen_part
+    return Look(total, part, tau)
 
 
-def _sampled(seen: Observation, i_keypoint: Int[ndarray, "m"], uv: Float[ndarray, "m 2"]) -> Float[ndarray, "m"]:
-    """The distance maps, bilinear, at pixels of the depth image."""
-    height, width = seen.distance.shape[1:]
-    scale = np.array([width / seen.depth.shape[1], height / seen.depth.shape[0]])
-    at = ((uv + 0.5) * scale - 0.5).clip(0, [width - 1, height - 1])
-    corner = np.minimum(at.astype(int), [max(width - 2, 0), max(height - 2, 0)])
-    a, b = (at - corner).T
-    index = (i_keypoint * height + corner[:, 1]) * width + corner[:, 0]
-    right, down = min(width - 1, 1), min(height - 1, 1) * width
-    z = seen.distance.reshape(-1)
-    upper = (1 - a) * z[index] + a * z[index + right]
-    lower = (1 - a) * z[index + down] + a * z[index + down + right]
-    return (1 - b) * upper + b * lower
+@compiled
+def _look(
+    points_world: ndarray,
+    distance: ndarray,
+    depth: ndarray,
+    rotation: ndarray,
+    position: ndarray,
+    K: ndarray,
+    alpha: float,
+    tau: ndarray,
+    noise: ndarray,
+    total: ndarray,
+    part: ndarray,
+) -> None:
+    """Fills `total` and `part`. A particle's depth is that of the nearest pixel, its distance bilinear."""
+    height, width = depth.shape
+    map_height, map_width = distance.shape[1:]
+    share, floor, margin, hidden = noise
+    scale_u, scale_v = map_width / width, map_height / height
+    right, down = min(map_width - 1, 1), min(map_height - 1, 1)
+    for i in range(points_world.shape[0]):
+        for j in range(points_world.shape[1]):
+            total[i, j], part[i, j] = tau[i], 0.0
+            a = points_world[i, j, 0] - position[0]
+            b = points_world[i, j, 1] - position[1]
+            c = points_world[i, j, 2] - position[2]
+            x_d = a * rotation[0, 2] + b * rotation[1, 2] + c * rotation[2, 2]
+            if not x_d > 0:
+                continue
+            x = (a * rotation[0, 0] + b * rotation[1, 0] + c * rotation[2, 0]) / x_d
+            y = (a * rotation[0, 1] + b * rotation[1, 1] + c * rotation[2, 1]) / x_d
+            u = K[0, 0] * x + K[0, 1] * y + K[0, 2]
+            v = K[1, 1] * y + K[1, 2]
+            if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
+                continue
+            z_d = depth[min(max(int(np.rint(v)), 0), height - 1), min(max(int(np.rint(u)), 0), width - 1)]
+            p_o, p_d = hidden, 1.0
+            if z_d > 0:
+                sigma = share * x_d + floor
+                p_o = 0.5 * math.erfc((z_d - (x_d - margin)) / sigma * math.sqrt(0.5))
+                p_d = math.exp(-0.5 * ((z_d - x_d) / sigma) ** 2)
+            map_u = min(max((u + 0.5) * scale_u - 0.5, 0.0), map_width - 1.0)
+            map_v = min(max((v + 0.5) * scale_v - 0.5, 0.0), map_height - 1.0)
+            left, top = min(int(map_u), max(map_width - 2, 0)), min(int(map_v), max(map_height - 2, 0))
+            s, t = map_u - left, map_v - top
+            upper = (1 - s) * distance[i, top, left] + s * distance[i, top, left + right]
+            lower = (1 - s) * distance[i, top + down, left] + s * distance[i, top + down, left + right]
+            part[i, j] = (1.0 - p_o) * p_d * math.exp(-alpha * ((1 - t) * upper + t * lower))
+            total[i, j] = max(p_o * tau[i] + part[i, j], LEAST_LIKELIHOOD)
 
 
 def first_particles(
     observations: Sequence[Observation], rng: Generator, settings: ParticleSettings
-) -> (
-    tuple[
-        Float[ndarray, "k n 3"],
-        Float[ndarray, "k n"],
-        list[tuple[Float[ndarray, "k n"], Float[ndarray, "k n"]]],
-        Float[ndarray, "k"],
-    ]
-    | None
-):
-    """Particles drawn from the first heat maps, weights, likelihoods by camera, and log evidence; None without any
-    depth.
+) -> tuple[ParticleBelief, list[Look], Float[ndarray, "k"]] | None:
+    """Particles drawn from the first heat maps, what cameras say of them, and log evidence; None without any depth.
 
     Each camera with depth gives an equal share. Its own frame is in what it drew; the other cameras weigh it.
     """
     usable = [i for i, seen in enumerate(observations) if (seen.depth > 0).any()]
     if not usable:
         return None
-    owner = np.sort(np.resize(usable, settings.n_particles))
-    points = np.concatenate([draw(observations[i], int((owner == i).sum()), rng, settings) for i in usable], axis=1)
-    likelihoods = [likelihood(points, seen, settings) for seen in observations]
-    log_weight = np.full(points.shape[:2], -np.log(settings.n_particles))
-    for i, (total, _) in enumerate(likelihoods):
-        log_weight = log_weight + np.where(owner == i, 0.0, np.log(total))
+    n = settings.n_particles
+    owner = np.sort(np.resize(usable, n))
+    drawn = [draw(observations[i], int((owner == i).sum()), rng, settings) for i in usable]
+    points = np.concatenate([one.points_world for one in drawn], axis=1)
+    looks = [look(points, seen, settings) for seen in observations]
+    log_weight = np.full(points.shape[:2], -np.log(n))
+    for i, one in enumerate(looks):
+        log_weight = log_weight + np.where(owner == i, 0.0, np.log(one.likelihood))
     weight, log_others = _normalised(log_weight)
     log_own = np.mean([softmax_map(observations[i].distance, settings.alpha)[1] for i in usable], axis=0)
-    return points, weight, likelihoods, log_own + log_others
+    return new_belief(points, weight, settings.n_lookalikes), looks, log_own + log_others
 
 
-def draw(
-    seen: Observation, n: int, rng: Generator, settings: ParticleSettings, block: int = 1
-) -> Float[ndarray, "k n 3"]:
+def new_belief(
+    points_world: Float[ndarray, "k n 3"], weight: Float[ndarray, "k n"], n_lookalikes: int = 0
+) -> ParticleBelief:
+    """Particles that nothing holds, and no place that looks alike yet."""
+    k = len(points_world)
+    nowhere = np.full((k, n_lookalikes, 3), np.nan)
+    held, found = np.zeros(weight.shape, dtype=bool), np.zeros(k, dtype=bool)
+    return ParticleBelief(points_world, weight, held, nowhere, np.zeros((k, n_lookalikes)), found)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Points drawn from a heat map, and exp(-alpha z) at each."""
+
+    points_world: Float[ndarray, "k n 3"]
+    match: Float[ndarray, "k n"]
+
+
+def draw(seen: Observation, n: int, rng: Generator, settings: ParticleSettings, block: int = 1) -> Drawn:
     """n points per keypoint on the measured surface, from the heat map, with the noise of a pixel and of depth.
 
     Args:
@@ -271,48 +349,108 @@ def draw(
     cell = np.stack([u[chosen], v[chosen]], axis=-1) + rng.uniform(-0.5, 0.5, (n, 2))
     z_d = depth[v[chosen], u[chosen]].astype(np.float64)
     z_d = z_d + rng.standard_normal(n) * (settings.depth_noise * z_d + settings.depth_noise_floor)
-    return transform(seen.world_from_camera, unproject((cell + 0.5) * scale - 0.5, z_d, seen.K))
+    points = transform(seen.world_from_camera, unproject((cell + 0.5) * scale - 0.5, z_d, seen.K))
+    return Drawn(points, np.exp(-settings.alpha * np.take_along_axis(z, chosen, axis=1), dtype=np.float64))
 
 
 def refresh(
-    belief: ParticleBelief, observations: Sequence[Observation], rng: Generator, settings: ParticleSettings
+    belief: ParticleBelief,
+    estimate: Estimate,
+    looks: Sequence[Look],
+    observations: Sequence[Observation],
+    rng: Generator,
+    settings: ParticleSettings,
 ) -> ParticleBelief:
-    """Particles for the next frame: resampled where few of them matter, the lightest ones drawn anew from the heat
+    """The belief for the next frame: resampled where few particles matter, the lightest ones drawn anew from the heat
     maps.
+
+    Where the track is seen, what is drawn far from it looks alike and is remembered; what is drawn near such a place is
+    given no weight. Frames are not independent: a look-alike that stays in view would soon outweigh any place that is
+    not, however small the weight it began with.
 
     Source: von Hartz et al. 2023, Sec. III-B.5.
     """
     k, n = belief.weight.shape
-    points, weight, held = belief.points_world.copy(), belief.weight.copy(), belief.held.copy()
     spread = rng.random((n,))
     if settings.resampling == "systematic":
         spread = np.full_like(spread, spread[0])
-    few = 1.0 / np.einsum("kn,kn->k", weight, weight) < settings.resample_below * n
-    for i in map(int, np.flatnonzero(few)):
-        chosen = stratified(weight[i], spread)
-        points[i], held[i], weight[i] = points[i][chosen], held[i][chosen], 1.0 / n
+    matched, tau = matched_now(belief, looks)
+    belief = replace(_resampled(belief, spread, settings), found=belief.found | (matched > FOUND * tau))
     n_new = round(settings.redraw_share * n)
     usable = [seen for seen in observations if (seen.depth > 0).any()]
     ties = 1.0 + 1e-6 * rng.random(n)
     if not n_new or not usable:
-        return ParticleBelief(points, weight, held)
-    parts = np.array_split(np.arange(n_new), len(usable))
-    new = np.concatenate(
-        [
-            draw(seen, len(part), rng, settings, DRAW_BLOCK)
-            for seen, part in zip(usable, parts, strict=True)
-            if len(part)
-        ],
-        axis=1,
-    )
-    lightest = np.argpartition(weight * ties, n_new, axis=1)[:, :n_new]
-    rows = np.arange(k)[:, None]
-    points[rows, lightest] = new
-    held[rows, lightest] = False
-    weight[rows, lightest] = 0.0
-    weight *= (1 - settings.redraw_mass) / weight.sum(axis=1, keepdims=True)
-    weight[rows, lightest] = settings.redraw_mass / n_new
-    return ParticleBelief(points, weight, held)
+        return belief
+    parts = [len(part) for part in np.array_split(np.arange(n_new), len(usable))]
+    drawn = [
+        draw(seen, n_here, rng, settings, DRAW_BLOCK) for seen, n_here in zip(usable, parts, strict=True) if n_here
+    ]
+    new = np.concatenate([one.points_world for one in drawn], axis=1)
+    match = np.concatenate([one.match for one in drawn], axis=1)
+    share, is_new = np.full(k, settings.redraw_mass), np.ones(match.shape, dtype=bool)
+    if settings.n_lookalikes:
+        share *= np.where(belief.found, 1.0 - matched, UNFOUND_MASS)
+        is_new = ~known_lookalikes(belief, new, match)
+        belief = _with_lookalikes(belief, estimate, matched, new, match)
+    at = np.arange(k)[:, None], np.argpartition(belief.weight * ties, n_new, axis=1)[:, :n_new]
+    points, weight, held = belief.points_world.copy(), belief.weight.copy(), belief.held.copy()
+    points[at], held[at], weight[at] = new, False, 0.0
+    weight /= weight.sum(axis=1, keepdims=True)
+    weight[at] = is_new * share[:, None] / n_new
+    weight /= weight.sum(axis=1, keepdims=True)
+    return replace(belief, points_world=points, weight=weight, held=held)
+
+
+def matched_now(belief: ParticleBelief, looks: Sequence[Look]) -> tuple[Float[ndarray, "k"], Float[ndarray, "k"]]:
+    """How well the track matches, at most one, in the camera that sees it best; and that camera's tau."""
+    if not looks:
+        return np.zeros(len(belief.weight)), np.ones(len(belief.weight))
+    matched = np.stack([np.einsum("kn,kn->k", belief.weight, one.seen) for one in looks])
+    best = matched.argmax(axis=0), np.arange(matched.shape[1])
+    return np.minimum(matched[best], 1.0), np.stack([one.tau for one in looks])[best]
+
+
+def known_lookalikes(
+    belief: ParticleBelief, points_world: Float[ndarray, "k n 3"], match: Float[ndarray, "k n"]
+) -> Bool[ndarray, "k n"]:
+    """Which points are where something looks alike, and match no better than that did."""
+    apart = np.linalg.norm(points_world[:, :, None] - belief.lookalikes[:, None], axis=-1)
+    same = (apart < LOOKALIKE_RADIUS) & (match[:, :, None] < LOOKALIKE_BETTER * belief.lookalike_match[:, None])
+    return same.any(axis=-1)
+
+
+def _with_lookalikes(
+    belief: ParticleBelief,
+    estimate: Estimate,
+    matched: Float[ndarray, "k"],
+    points_world: Float[ndarray, "k n 3"],
+    match: Float[ndarray, "k n"],
+) -> ParticleBelief:
+    """The belief with what was drawn far from tracks that are seen and sure, and match as well."""
+    spread = np.sqrt(np.trace(estimate.covariance, axis1=1, axis2=2))
+    sure = belief.found & (spread < LOOKALIKE_RADIUS)
+    far = np.linalg.norm(points_world - estimate.mean[:, None], axis=-1) > 2 * LOOKALIKE_RADIUS
+    other = sure[:, None] & far & (match < LOOKALIKE_BETTER * matched[:, None])
+    m = belief.lookalikes.shape[1]
+    places, values = belief.lookalikes.copy(), belief.lookalike_match.copy()
+    for i in map(int, np.flatnonzero(other.any(axis=1))):
+        places[i] = np.concatenate([points_world[i, other[i]], places[i]])[:m]
+        values[i] = np.concatenate([match[i, other[i]], values[i]])[:m]
+    return replace(belief, lookalikes=places, lookalike_match=values)
+
+
+def _resampled(belief: ParticleBelief, spread: Float[ndarray, "n"], settings: ParticleSettings) -> ParticleBelief:
+    """Particles of equal weight where only few matter, else as they are."""
+    k, n = belief.weight.shape
+    few = 1.0 / np.einsum("kn,kn->k", belief.weight, belief.weight) < settings.resample_below * n
+    if not few.any():
+        return belief
+    chosen = np.tile(np.arange(n), (k, 1))
+    for i in map(int, np.flatnonzero(few)):
+        chosen[i] = stratified(belief.weight[i], spread)
+    at = np.arange(k)[:, None], chosen
+    weight = np.where(few[:, None], 1.0 / n, belief.weight)
+    return replace(belief, points_world=belief.points_world[at], weight=weight, held=belief.held[at])
 
 
 def stratified(weight: Float[ndarray, "m"], uniform: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
@@ -332,18 +470,18 @@ def _normalised(log_weight: Float[ndarray, "k n"]) -> tuple[Float[ndarray, "k n"
 
 
 def _estimate(
-    points: Float[ndarray, "k n 3"],
-    weight: Float[ndarray, "k n"],
-    likelihoods: Sequence[tuple[Float[ndarray, "k n"], Float[ndarray, "k n"]]],
+    belief: ParticleBelief,
+    looks: Sequence[Look],
     observations: Sequence[Observation | None],
     log_evidence: Float[ndarray, "k"],
 ) -> Estimate:
+    points, weight = belief.points_world, belief.weight
     mean = np.einsum("kn,kni->ki", weight, points)
     offset = points - mean[:, None]
     observed = np.zeros((len(observations), len(points)), dtype=bool)
     given = [i for i, seen in enumerate(observations) if seen is not None]
-    for i, (total, part) in zip(given, likelihoods, strict=True):
-        observed[i] = np.einsum("kn,kn->k", weight, part / total) > 0.5
+    for i, one in zip(given, looks, strict=True):
+        observed[i] = np.einsum("kn,kn->k", weight, one.seen / one.likelihood) > 0.5
     return Estimate(
         mean=mean,
         covariance=np.einsum("kn,kni,knj->kij", weight, offset, offset, optimize=True),

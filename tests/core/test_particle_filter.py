@@ -14,9 +14,10 @@ from bask_data.core.particle_filter import (
     ParticleBelief,
     ParticleSettings,
     draw,
-    likelihood,
+    look,
     mode,
     move,
+    new_belief,
     particle_step,
     refresh,
     stratified,
@@ -56,8 +57,12 @@ def cloud(mean: list[float], deviation: float | list[float], n: int, seed: int =
 
 def even(points: np.ndarray) -> ParticleBelief:
     """Points of equal weight, none of them held."""
-    k, n, _ = points.shape
-    return ParticleBelief(points, np.full((k, n), 1.0 / n), np.zeros((k, n), dtype=bool))
+    return new_belief(points, np.full(points.shape[:2], 1.0 / points.shape[1]))
+
+
+def likelihood(points: np.ndarray, seen: Observation, settings: ParticleSettings) -> tuple[np.ndarray, np.ndarray]:
+    found = look(points, seen, settings)
+    return found.likelihood, found.seen
 
 
 def likelihood_by_hand(point: np.ndarray, seen: Observation, s: ParticleSettings) -> float:
@@ -214,10 +219,11 @@ def test_resampling_happens_only_below_the_threshold() -> None:
     weight /= weight.sum()
     settings = replace(PURE, resample_below=0.1)
     belief = replace(belief, weight=weight, held=np.arange(1000)[None] % 3 == 0)
-    kept = refresh(belief, [], np.random.default_rng(0), settings)
+    _, estimate = particle_step(belief, [], None, np.random.default_rng(0), settings)
+    kept = refresh(belief, estimate, [], [], np.random.default_rng(0), settings)
     np.testing.assert_array_equal(kept.points_world, belief.points_world)
     np.testing.assert_array_equal(kept.weight, weight)
-    fresh = refresh(belief, [], np.random.default_rng(0), replace(settings, resample_below=0.3))
+    fresh = refresh(belief, estimate, [], [], np.random.default_rng(0), replace(settings, resample_below=0.3))
     np.testing.assert_allclose(fresh.weight, 1e-3)
     came_from = {point: i for i, point in enumerate(belief.points_world[0, :, 0])}
     index = np.array([came_from[x] for x in fresh.points_world[0, :, 0]])
@@ -247,7 +253,8 @@ def test_no_camera_at_all_is_a_frame_in_which_only_time_passes() -> None:
 def test_the_first_particles_lie_where_the_first_heat_map_is_hot() -> None:
     seen = wall(camera_at(0.1, 0.0, 0.2, 0.1), [[0.03, 0.01, 1.0]])
     settings = ParticleSettings(alpha=4.0, draw_sharpness=2.0)
-    points = draw(seen, 20_000, np.random.default_rng(0), settings)
+    drawn = draw(seen, 20_000, np.random.default_rng(0), settings)
+    points = drawn.points_world
     heat = np.exp(-8.0 * seen.distance[0].astype(np.float64))
     uv = np.rint(_pixels(points[0], seen)).astype(int)
     counts = np.zeros((HEIGHT, WIDTH))
@@ -256,6 +263,8 @@ def test_the_first_particles_lie_where_the_first_heat_map_is_hot() -> None:
     hot = heat > 0.1
     np.testing.assert_allclose(counts[hot].sum() / 20_000, heat[hot].sum() / heat.sum(), atol=0.01)
     np.testing.assert_allclose(points[0, :, 2].mean(), 1.0, atol=0.003)
+    at = np.sqrt(heat[uv[inside, 1], uv[inside, 0]])  # exp(-4 z), of the pixel or, by its noise, of the next
+    np.testing.assert_allclose(np.median(drawn.match[0, inside] / at), 1.0, atol=0.001)
 
 
 def _pixels(points: np.ndarray, seen: Observation) -> np.ndarray:
@@ -273,7 +282,7 @@ def test_the_first_evidence_is_the_mean_likelihood_of_the_image() -> None:
 def test_nothing_is_drawn_from_pixels_without_depth() -> None:
     seen = wall(np.eye(4), [[0.0, 0, 1]])
     seen.depth[:, :30] = 0
-    points = draw(seen, 3000, np.random.default_rng(0), ParticleSettings(), block=4)
+    points = draw(seen, 3000, np.random.default_rng(0), ParticleSettings(), block=4).points_world
     assert (points[0, :, 0] > -0.001).all()
 
 
@@ -354,22 +363,22 @@ def test_particles_near_the_gripper_take_part_in_its_rotation_and_far_ones_do_no
     now = camera_at(0.1, 0.0, 1.0, np.pi / 2)
     n = 20_000
     points = np.stack([np.tile([0.0, 0.0, 1.1], (n, 1)), np.tile([0.0, 0.0, 2.0], (n, 1))])
-    settings = ParticleSettings(walk=0.0, gripper_probability=0.3)
-    moved, held = move(even(points), Motion(before, now), np.random.default_rng(0), settings)
+    settings = ParticleSettings(walk=0.0, gripper_probability=0.3, gripper_memory=0.0)
+    after = move(even(points), Motion(before, now), np.random.default_rng(0), settings)
+    moved = after.points_world
     carried = np.isclose(moved[0], [0.2, 0.0, 1.0]).all(axis=1)
     np.testing.assert_allclose(carried.mean(), 0.3, atol=0.01)
     np.testing.assert_allclose(moved[0, ~carried], points[0, ~carried])
     np.testing.assert_array_equal(moved[1], points[1])
-    np.testing.assert_array_equal(held, [carried, np.zeros(n, dtype=bool)])
-    everywhere, _ = move(
-        even(points), Motion(before, now), np.random.default_rng(0), replace(settings, gripper_reach=np.inf)
-    )
+    np.testing.assert_array_equal(after.held, [carried, np.zeros(n, dtype=bool)])
+    settings = replace(settings, gripper_reach=np.inf)
+    everywhere = move(even(points), Motion(before, now), np.random.default_rng(0), settings).points_world
     np.testing.assert_allclose(np.isclose(everywhere[1], points[1]).all(axis=1).mean(), 0.7, atol=0.01)
 
 
 def test_an_object_carried_by_the_gripper_is_followed_out_of_sight() -> None:
     rng, belief = np.random.default_rng(0), None
-    settings = ParticleSettings(gripper_probability=0.9)
+    settings = ParticleSettings(gripper_probability=0.9, gripper_memory=0.0)
     away = camera_at(turn=2.0)
     for _ in range(20):
         belief, _ = particle_step(belief, [wall(np.eye(4), [[0.0, 0.05, 1.0]])], None, rng, settings)
