@@ -14,7 +14,7 @@ from bask_data.core.geometry import invert_rigid, project, transform
 from bask_data.dataset import Dataset, Splits
 from bask_data.errors import BadData, UsageError
 from bask_data.evaluation import evaluated_keypoints
-from bask_data.evaluation.keypoint_study import FILE, is_current, save_study
+from bask_data.evaluation.keypoint_study import FILE, is_current, methods_of, save_study
 from bask_data.evaluation.tracked_points import ROUND, points_to_track, true_tracks
 from bask_data.kinds import Demonstration, DescriptorNet, Pick, ReferenceKeypoints, Scan, Truth
 from bask_data.kinds.truth import TruthMetadata
@@ -138,6 +138,23 @@ def test_with_a_perfect_network_every_filter_is_right_while_it_sees(found: dict)
         assert methods[name]["error"]["visible"]["median"] < 0.01, name
     assert methods["blind: expectation"]["error"]["visible"]["median"] > 0.03
     assert methods["blind: expectation"]["apart"]["visible"]["mean"] > 0.03
+
+
+def test_the_temperature_is_that_of_distances_as_they_were_trained() -> None:
+    first, _, ours, *_ = methods_of({"ours": 1.0, "base": 0.25}, "default")
+    assert (first.name, ours.name) == ("base: expectation", "ours: expectation")
+    assert first.settings.alpha == 4 * ours.settings.alpha
+    without = methods_of({"ours": 0.5}, "paper")[0]
+    assert (without.name, without.settings.alpha) == ("ours: expectation, no temperature", 2.0)
+
+
+def test_single_frames_have_their_best_match_as_mode(found: dict) -> None:
+    told = found["groups"]["carton+tin"]["methods"]
+    assert told["main: expectation"]["error_of_mode"]["visible"]["median"] < 0.005
+    single, flat = told["main: expectation"], told["main: expectation, no temperature"]
+    medians = [one["error_of_mode"]["visible"]["median"] for one in (single, flat)]
+    assert medians[0] == pytest.approx(medians[1], abs=1e-3)
+    assert single["apart"]["visible"]["mean"] < flat["apart"]["visible"]["mean"]
 
 
 def test_what_is_out_of_view_only_a_filter_with_memory_knows(found: dict) -> None:

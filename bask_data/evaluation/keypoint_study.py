@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,20 +62,26 @@ class Method:
         return f"{self.variant}: {self.belief}"
 
 
-def methods_of(variants: Sequence[str], settings: Named) -> list[Method]:
+def methods_of(units: Mapping[str, float], settings: Named) -> list[Method]:
     """What is compared: all beliefs with the first network, that of single frames with the others.
 
     Args:
+        units: by variant, what its network's distances were divided by when it was trained, in units of what filters
+            divide them by. The temperature is made for distances as they were trained: else a network whose distances
+            are small would be said to know nothing.
         settings: preset of all filters.
     """
     from bask_data.core.bayes_filter import settings_named
 
-    first, *others = variants
-    single = settings_named("expectation", settings)
+    def single(variant: str, alpha: float | None = None) -> Settings:
+        found = settings_named("expectation", settings, alpha=alpha)
+        return replace(found, alpha=found.alpha / units[variant])
+
+    first, *others = units
     return [
-        *(Method(variant, "expectation", single) for variant in reversed(others)),
-        Method(first, "expectation, no temperature", settings_named("expectation", settings, alpha=1.0)),
-        Method(first, "expectation", single),
+        *(Method(variant, "expectation", single(variant)) for variant in reversed(others)),
+        Method(first, "expectation, no temperature", single(first, alpha=1.0)),
+        Method(first, "expectation", single(first)),
         Method(first, "discrete", settings_named("discrete", settings)),
         Method(first, "particle", settings_named("particle", settings)),
     ]
@@ -136,7 +142,8 @@ def evaluated_keypoints(
     """
     check_variants(dataset, variants)
     networks = {name: DescriptorNet(dataset.path(DescriptorNet, variant=name)).network() for name in variants}
-    methods = methods_of(variants, settings)
+    units = {name: _unit(dataset, name, network) for name, network in networks.items()}
+    methods = methods_of(units, settings)
     groups = by_objects(dataset, demonstrations_with_truth(dataset, demonstrations), objects)
     found: dict[str, Any] = {}
     for tracked_objects, names in groups.items():
@@ -152,7 +159,7 @@ def evaluated_keypoints(
             {"name": one.name, "variant": one.variant, "belief": one.belief, "settings": asdict(one.settings)}
             for one in methods
         ],
-        "margins": {name: _margins(dataset, name, network) for name, network in networks.items()},
+        "margins": {name: _margins(dataset, name, unit) for name, unit in units.items()},
         "measured_with": _digests(dataset, variants, [name for names in groups.values() for name in names]),
         "groups": found,
     }
@@ -179,12 +186,17 @@ def is_current(dataset: Dataset, found: Mapping[str, Any]) -> bool:
     return all(_digest(dataset.root / path) == digest for path, digest in measured_with.items())
 
 
-def _margins(dataset: Dataset, variant: str, network: DescriptorNetwork) -> dict[str, float] | None:
+def _unit(dataset: Dataset, variant: str, network: DescriptorNetwork) -> float:
+    """One, but for networks that were trained on distances not divided by sqrt(D)."""
+    params = DescriptorNet(dataset.path(DescriptorNet, variant=variant)).manifest.params
+    return 1.0 if params.get("normalised", True) else float(network.settings.descriptor_dim) ** -0.5
+
+
+def _margins(dataset: Dataset, variant: str, unit: float) -> dict[str, float] | None:
     """Descriptor distances that training pushed non-matches beyond, as filters measure them; None without any."""
     params = DescriptorNet(dataset.path(DescriptorNet, variant=variant)).manifest.params
     if params.get("loss") != "contrastive":
         return None
-    unit = 1.0 if params.get("normalised", True) else network.settings.descriptor_dim**-0.5
     return {name: unit * float(params[f"margin_{name}"]) for name in ("foreground", "background")}
 
 
@@ -421,6 +433,7 @@ def _told_method(
 
     known_places = [np.isfinite(one.places).all(axis=2) for one in tracks]
     error = [distances(one.mean[name], one.places) for one in tracks]
+    of_mode = [distances(one.mode[name], one.places) for one in tracks]
     apart = [distances(one.mean[name], one.mode[name]) for one in tracks]
 
     def told(values: Sequence[np.ndarray], chosen: Sequence[np.ndarray]) -> dict[str, float | int | None]:
@@ -440,6 +453,7 @@ def _told_method(
     along = {"error": over_time(error, N_MOMENTS), "apart": over_time(apart, N_MOMENTS)}
     return {
         "error": split(error),
+        "error_of_mode": split(of_mode),
         "apart": split(apart),
         "by_object": {one: told(error, of_keypoints(object_of == one)) for one in dict.fromkeys(objects)},
         "by_keypoint": {

@@ -76,15 +76,15 @@ def keypoint_tables(found: dict[str, Any]) -> Iterator[str]:
         yield f"{name}: {len(group['keypoints'])} keypoints in {len(demonstrations)} demonstrations, {n_frames} frames"
         methods = group["methods"]
         phases = list(next(iter(methods.values()))["error"])
-        yield (
-            "  mean distance to the truth, mm" + " " * 8 + "".join(f"{phase:>13}" for phase in phases) + f"{'apart':>8}"
-        )
+        heads = "".join(f"{phase:>13}" for phase in phases) + f"{'mode':>8}{'apart':>8}"
+        yield f"{'  mean distance to the truth, mm':<38}{heads}"
         for method, told in methods.items():
             cells = "".join(f"{_written(told['error'][phase]['mean'], 1000, '.0f'):>13}" for phase in phases)
-            yield f"    {method:<34}" + cells + f"{_written(told['apart']['all']['mean'], 1000, '.0f'):>8}"
+            others = [_written(told[what]["all"]["mean"], 1000, ".0f") for what in ("error_of_mode", "apart")]
+            yield f"    {method:<34}" + cells + "".join(f"{one:>8}" for one in others)
         counted = next(iter(methods.values()))["error"]
         yield f"    {'frames x keypoints':<34}" + "".join(f"{counted[phase]['n']:>13}" for phase in phases)
-    yield "apart: mean distance between mean and mode of what is believed, mm; large where there are several places"
+    yield "mode: mean distance of the likeliest place to the truth; apart: to the mean, large where it is one of many"
 
 
 def _written(value: float | None, factor: float, form: str) -> str:

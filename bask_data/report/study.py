@@ -25,6 +25,8 @@ LABELS = {
     "error": "Distance to the truth, cm",
 }
 TILE = 256
+ALPHA = 4.0
+"""The paper's temperature, p(z) = exp(-4 z)."""
 DPI = 150
 GROUP_COLOURS = {"near": "#2f9e5b", "objects": "#e08a1e", "background": "#8b8b95"}
 GROUP_NAMES = {"near": "around the keypoint", "objects": "elsewhere on objects", "background": "background"}
@@ -215,6 +217,8 @@ def _likelihood_figure(found: Mapping[str, Any], group: Mapping[str, Any]) -> An
 
 def draw_likelihood(axes: Any, found: Mapping[str, Any], group: Mapping[str, Any], variant: str) -> None:
     """Pixels by descriptor distance, told apart by what they show, and the likelihood exp(-alpha z)."""
+    from matplotlib.ticker import NullFormatter
+
     edges = np.array(group["distances"]["edges"])
     counts = {name: np.array(one) for name, one in group["distances"]["counts"][variant].items()}
     total = max(sum(int(one.sum()) for one in counts.values()), 1)
@@ -227,18 +231,22 @@ def draw_likelihood(axes: Any, found: Mapping[str, Any], group: Mapping[str, Any
     if len(filled):
         axes.set_xlim(filled[0], 1.3 * filled[-1])
     axes.set_ylim(1e-7, 1.5)
+    first, last = axes.get_xlim()
     for alpha in sorted({one["settings"]["alpha"] for one in found["methods"] if one["variant"] == variant}):
-        first, last = axes.get_xlim()
         z = np.geomspace(first, last, 200)
-        axes.plot(z, np.exp(-alpha * z), color="black", linewidth=1.2, linestyle="--" if alpha == 1 else "-")
-        axes.annotate(f"exp(-{alpha:g} z)", (np.log(1e3) / alpha, 1e-3), fontsize=7, rotation=-60, va="bottom")
-    for name, margin in (found["margins"][variant] or {}).items():
+        axes.plot(z, np.exp(-alpha * z), color="black", linewidth=1.2, linestyle="-" if alpha == ALPHA else "--")
+        at = min(np.log(1e3) / alpha, 0.7 * last)
+        axes.annotate(f"exp(-{alpha:.3g} z)", (at, np.exp(-alpha * at)), fontsize=7, rotation=-50, va="bottom")
+    margins = found["margins"][variant] or {}
+    for margin in dict.fromkeys(margins.values()):
+        names = " = ".join(f"M {name}" for name, one in margins.items() if one == margin)
         axes.axvline(margin, color="black", linewidth=0.8, linestyle=":")
-        axes.annotate(f"M {name}", (margin, 0.6), fontsize=7, rotation=90, va="top", ha="right")
+        axes.annotate(names, (margin, 0.6), fontsize=7, rotation=90, va="top", ha="right")
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("descriptor distance z", fontsize=8)
     axes.set_ylabel("share of the pixels; p(z)", fontsize=8)
     axes.set_title(f"{variant}: distances, and the likelihood of a match", fontsize=9)
-    axes.legend(fontsize=7, loc="lower left")
+    axes.legend(fontsize=7, loc="lower right")
     axes.tick_params(labelsize=8)
 
 
