@@ -162,7 +162,8 @@ class Desk:
 
         at = asked.at
         descriptor = self.gallery.descriptor_at(at.frame, at.u, at.v)
-        ready = [frame for frame in asked.frames if self.gallery.is_described(frame)]
+        # A frame may be asked for twice, as two views may show it.
+        ready = dict.fromkeys(frame for frame in asked.frames if self.gallery.is_described(frame))
         found = {frame: self.gallery.find(descriptor, frame) for frame in ready}
         scale = max((float(one.z.max()) for one in found.values()), default=0.0) or 1.0
         places = self.gallery.same_place(at.frame, at.u, at.v, asked.frames)
@@ -180,7 +181,8 @@ class Desk:
             ],
         }
         text = json.dumps(header).encode()
-        codes = [np.rint(255 * np.sqrt(one.z / scale)).astype(np.uint8).tobytes() for one in found.values()]
+        maps = [found[frame].z for frame in asked.frames if frame in found]
+        codes = [np.rint(255 * np.sqrt(z / scale)).astype(np.uint8).tobytes() for z in maps]
         return b"".join([struct.pack("<I", len(text)), text, *codes])
 
     def matches(self, asked: ForMatches) -> dict[str, Any]:

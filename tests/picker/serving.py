@@ -7,6 +7,7 @@ import http.client
 import json
 import socket
 import threading
+from collections.abc import Callable
 
 from bask_data.picker.desk import Desk
 from bask_data.picker.server import serve
@@ -17,12 +18,17 @@ class Served:
 
     def __init__(self, desk: Desk) -> None:
         self.desk = desk
-        self._opened = threading.Event()
-        self._thread = threading.Thread(target=serve, args=(desk, 0), kwargs={"opened": self._open}, daemon=True)
-        self._thread.start()
-        assert self._opened.wait(30)
+        self.run(lambda: serve(desk, 0, opened=self.open))
 
-    def _open(self, url: str) -> None:
+    def run(self, serving: Callable[[], None]) -> None:
+        """Start what serves and calls `open`."""
+        self._opened = threading.Event()
+        self._thread = threading.Thread(target=serving, daemon=True)
+        self._thread.start()
+        assert self._opened.wait(60)
+
+    def open(self, url: str) -> None:
+        """Take the link."""
         self.url = url
         self.host, _, rest = url.removeprefix("http://").partition("/")
         self.port, self.token = int(self.host.split(":")[1]), rest.partition("token=")[2]

@@ -259,7 +259,7 @@ def test_keypoints_are_made_moved_named_and_taken_away(served) -> None:
 
 
 def test_heat_maps_hold_the_distances_of_the_frames_that_are_described(served) -> None:
-    frames = [["a", "wrist", 0], ["a", "wrist", 1], ["lift", "wrist", 0]]
+    frames = [["a", "wrist", 0], ["a", "wrist", 1], ["lift", "wrist", 0], ["a", "wrist", 0]]
     served.told("describe", frame=frames[1])
     status, answer = served.ask("heat", at=AT, frames=frames)
     assert status == 200
@@ -269,7 +269,9 @@ def test_heat_maps_hold_the_distances_of_the_frames_that_are_described(served) -
     gallery = served.desk.gallery
     descriptor = gallery.descriptor_at(frame("a", 0), 40.0, 50.0)
     offset = 4 + length
-    for i, one in enumerate(header["maps"][:2]):
+    for (_, _, i), one in zip(frames, header["maps"], strict=True):
+        if one is None:
+            continue
         expected = gallery.find(descriptor, frame("a", i))
         n = one["size"][0] * one["size"][1]
         codes = np.frombuffer(answer[offset : offset + n], np.uint8).reshape(one["size"])

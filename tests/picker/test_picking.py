@@ -1,0 +1,193 @@
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from bask_data.artifact import SCRATCH
+from bask_data.cli import app
+from bask_data.config import load_config
+from bask_data.dataset import Dataset, Variant
+from bask_data.errors import BadData, UsageError
+from bask_data.kinds import DescriptorNet, ReferenceKeypoints, VisibleMasks
+from bask_data.picker import Picking, pick_keypoints
+from bask_data.pipeline import STAGES
+from bask_data.stage import plan, state_of
+from bask_data.stages.reference import reference
+from tests.picker.pickable import pickable_dataset
+from tests.picker.serving import Served
+from tests.stages.test_reference import without_objects
+
+pytest.importorskip("uvicorn")
+pytest.importorskip("starlette")
+
+
+class Page(Served):
+    """The page of `reference --pick` in this process, as the command opens it."""
+
+    def __init__(self, dataset: Dataset, variant: str = "main", **options: object) -> None:
+        parameters = dataset.root / "params.yaml"
+        inputs = {} if variant == "main" else {"descriptor": "main"}
+
+        def planned(values: dict):
+            config = load_config(parameters if parameters.exists() else None, [], STAGES)
+            given = {**options, **values}
+            [task] = plan(dataset, reference, config=config, options=given, variant=variant, variant_inputs=inputs)
+            return task
+
+        self.told_person: list[str] = []
+        picking = Picking(dataset, planned, parameters, "bask-data encode", inputs)
+        self.outcomes: list = []
+        self.run(lambda: self.outcomes.extend(pick_keypoints(picking, say=self.told_person.append, opened=self.open)))
+
+    def __enter__(self) -> Page:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory) -> Dataset:
+    return pickable_dataset(tmp_path_factory.mktemp("picking") / "d")
+
+
+@pytest.fixture
+def dataset(filled, tmp_path) -> Dataset:
+    return Dataset(shutil.copytree(filled.root, tmp_path / "d"))
+
+
+def click(page: Page, recording: str = "a", u: float = 40.0, v: float = 50.0, **more: object) -> dict:
+    return page.told("edit", do="add", at={"frame": [recording, "wrist", 1], "u": u, "v": v}, **more)
+
+
+def test_what_is_saved_is_made_by_the_stage_and_stays_up_to_date(dataset) -> None:
+    with Page(dataset, "hand") as page:
+        click(page, name="rim")
+        click(page, "lift", 60.5)
+        found = page.told("save")
+    assert (found["told"], found["next"]) == ("2 keypoints saved as reference/hand", "bask-data encode")
+    assert [outcome.status for outcome in page.outcomes] == ["made"]
+    kept = ReferenceKeypoints(dataset.path(ReferenceKeypoints, variant="hand"))
+    assert [(pick.name, pick.recording, pick.u) for pick in kept.picks] == [
+        ("rim", "a", 40.0),
+        ("point_1", "lift", 60.5),
+    ]
+    assert kept.manifest.params["picks"] == ["a:wrist:1:40:50:rim", "lift:wrist:1:60.5:50:point_1"]
+    assert Dataset(dataset.root).variants(ReferenceKeypoints)["hand"] == Variant(inputs={"descriptor": "main"})
+    assert yaml.safe_load((dataset.root / "params.yaml").read_text()) == {
+        "reference@hand": {"auto": False, "picks": kept.manifest.params["picks"]}
+    }
+    # As `status` and `run` ask for it.
+    config = load_config(dataset.root / "params.yaml", [], STAGES)
+    [task] = plan(Dataset(dataset.root), reference, config=config, variant="hand")
+    assert state_of(task).status == "up to date"
+    assert not list((dataset.root / SCRATCH).glob("picks*.json"))
+
+
+def test_saved_keypoints_are_where_the_next_time_begins(dataset) -> None:
+    with Page(dataset) as page:
+        click(page, name="rim")
+        page.told("save")
+    with Page(dataset) as page:
+        found = page.told("start")
+        assert [mark["name"] for mark in found["marks"]] == ["rim"]
+        assert page.told_person == []
+        click(page)
+        page.told("save")
+    assert ReferenceKeypoints(dataset.path(ReferenceKeypoints)).names == ["rim", "point_1"]
+
+
+def test_unsaved_keypoints_survive_the_end_of_the_command(dataset) -> None:
+    with Page(dataset) as page:
+        click(page)
+        click(page, "b")
+    assert page.outcomes == []
+    with Page(dataset) as page:
+        assert page.told_person == ["going on with 2 unsaved keypoints of last time"]
+        assert [mark["recording"] for mark in page.told("edit", do="undo")["marks"]] == ["a"]
+    assert not dataset.path(ReferenceKeypoints).exists()
+
+
+def test_proposals_are_a_start_if_they_are_wanted(dataset) -> None:
+    without_objects(dataset, "a")
+    with Page(dataset, auto=True, n=3) as page:
+        found = page.told("start")
+        assert [(mark["recording"], mark["name"]) for mark in found["marks"]] == [
+            ("b", "object_1_0"),
+            ("b", "object_2_0"),
+            ("b", "object_3_0"),
+        ]
+        assert page.told("edit", do="undo")["marks"] == []
+        status, text = page.ask("propose", scene="lift", n=2)
+        assert (status, "propose: scene: expected a scan whose objects are known, got lift" in text.decode()) == (
+            400,
+            True,
+        )
+        page.told("propose", scene="b", n=2)
+        page.told("save")
+    kept = ReferenceKeypoints(dataset.path(ReferenceKeypoints))
+    assert [pick.instance for pick in kept.picks] == [1, 2]
+    assert kept.manifest.params["auto"] is False
+    assert np.isfinite([pick.point_world for pick in kept.picks]).all()
+
+
+def test_two_pages_at_once_are_refused(dataset) -> None:
+    with Page(dataset), pytest.raises(UsageError, match="--pick: main: expected one page at a time, got another"):
+        pick_keypoints(
+            Picking(dataset, lambda values: plan(dataset, reference, options=values)[0], dataset.root / "p", ""),
+            say=print,
+            opened=print,
+        )
+
+
+def test_what_lacks_for_saving_is_said_on_the_page(dataset) -> None:
+    shutil.rmtree(dataset.path(VisibleMasks, "a"))
+    with Page(dataset) as page:
+        click(page)
+        status, text = page.ask("save")
+        assert (status, "expected to be made, got masks/a is missing" in json.loads(text)["error"]) == (400, True)
+        assert len(page.told("start")["marks"]) == 1
+    assert not (dataset.root / "params.yaml").exists()
+
+
+def picked(dataset: Dataset, **options: object) -> None:
+    planned = plan(dataset, reference, options=options)[0]
+    picking = Picking(dataset, lambda values: planned, dataset.root / "params.yaml", "")
+    pick_keypoints(picking, say=print, opened=print)
+
+
+def test_without_a_network_it_says_what_to_do(dataset) -> None:
+    shutil.rmtree(dataset.path(DescriptorNet))
+    with pytest.raises(BadData, match=r"descriptor/main: expected a network, got none.  fix: bask-data train"):
+        picked(dataset)
+
+
+def test_without_recordings_it_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"expected a recording, got none in the dataset.  fix: bask-data ingest"):
+        picked(Dataset.create(tmp_path / "empty"))
+
+
+def test_without_objects_there_is_nothing_to_propose(dataset) -> None:
+    for name in ("a", "b"):
+        without_objects(dataset, name)
+    with pytest.raises(UsageError, match="--auto: expected a scan whose objects are known, got none"):
+        picked(dataset, auto=True)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--port", "8000"], "--port: expected to come with --pick, got it alone"),
+        (["--pick", "--dry-run"], "--dry-run: expected no --pick beside it, got both"),
+        (["--pick", "--port", "70000"], "Invalid value for '--port'"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(dataset, options: list[str], message: str) -> None:
+    ended = CliRunner().invoke(app, ["reference", str(dataset.root), *options])
+    assert (ended.exit_code, message in ended.stderr) == (2, True), ended.stderr
