@@ -15,6 +15,7 @@ from bask_data.core import scores
 from bask_data.core.keypoint_scores import distances
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, BaskError
+from bask_data.evaluation.keypoint_study import FILE
 from bask_data.evaluation.masks import count_masks, label_groups
 from bask_data.evaluation.places import known_of, places_of
 from bask_data.kinds import (
@@ -155,8 +156,23 @@ def summary(dataset: Dataset, measured: Measured) -> dict[str, Any]:
             list(dataset.variants(KeypointTrack)),
             lambda variant: _each(demonstrations, lambda name: track_figures(dataset, measured, name, variant)),
         ),
+        "study": _each(_studied(dataset), lambda name: _study_figures(dataset, name)),
     }
     return plain({name: value for name, value in result.items() if value not in ({}, None)})
+
+
+def _studied(dataset: Dataset) -> list[str]:
+    """The sets of objects of the dataset's last study of keypoints; a file that is none the page complains of."""
+    try:
+        return list(read_json(dataset.root / FILE)["groups"]) if (dataset.root / FILE).exists() else []
+    except (*UNREADABLE, TypeError):
+        return []
+
+
+def _study_figures(dataset: Dataset, name: str) -> dict[str, Any]:
+    """Of each method: errors, and the distance between mean and mode, by what the cameras see."""
+    methods = read_json(dataset.root / FILE)["groups"][name]["methods"]
+    return {method: {what: told[what] for what in ("error", "apart")} for method, told in methods.items()}
 
 
 def _each(names: Sequence[str], figures: Any) -> dict[str, Any]:

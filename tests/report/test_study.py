@@ -9,7 +9,7 @@ import pytest
 from bask_data.core.keypoint_scores import PHASES
 from bask_data.dataset import Dataset
 from bask_data.evaluation.keypoint_study import FILE
-from bask_data.report import study, write_report
+from bask_data.report import study, summarise, write_report
 from bask_data.report.figures import Measured
 from bask_data.report.plots import Curve, line_plot
 from bask_data.report.sections import choose
@@ -78,6 +78,16 @@ def test_the_page_shows_each_methods_figures_and_curves(dataset: Dataset, tmp_pa
     assert "Settings of the filters: paper" in text
     assert "Distance to the truth, cm" in text and "Distance between mean and mode, cm" in text
     assert "Made with other networks" not in text
+
+
+def test_a_script_gets_the_same_figures(dataset: Dataset) -> None:
+    assert "study" not in summarise(dataset)
+    keep(dataset, found({}))
+    told = summarise(dataset)["study"]["lid"]
+    assert list(told) == list(METHODS)
+    assert told["ours: particle"] == {what: method(3 * 0.0321)[what] for what in ("error", "apart")}
+    keep(dataset, {"groups": 3})
+    assert "study" not in summarise(dataset)
 
 
 def test_a_study_of_what_is_gone_says_so(dataset: Dataset, tmp_path: Path) -> None:
