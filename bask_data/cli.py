@@ -25,6 +25,7 @@ from bask_data.config import load_config
 from bask_data.console import say, show_error, show_outcome, shown_progress
 from bask_data.dataset import DATASET, Dataset, Splits, Variant
 from bask_data.errors import BaskError, MissingDependency, UsageError
+from bask_data.export import FormatName
 from bask_data.formats import FORMATS, Format
 from bask_data.params import Params, first_fault
 from bask_data.pipeline import STAGES
@@ -1070,7 +1071,7 @@ def _show_shown(name: str, one: Any) -> None:
 @_reporting
 def export_(
     format: Annotated[
-        Literal["parquet", "lerobot", "robomimic", "diffusion-policy"],
+        FormatName,
         typer.Argument(help="parquet: tables. lerobot: dataset v3. robomimic: HDF5. diffusion-policy: replay buffer."),
     ],
     root: Root,

@@ -286,21 +286,22 @@ class Episodes:
     def _read(self, entry: Entry) -> Episode:
         import numpy as np
 
+        from bask_data.core.scores import spread
+
         demonstration, track = self._demonstration(entry.name), self._track(entry.name)
-        localised = np.isfinite(track.mean).all(axis=-1)
+        localised = np.isfinite(track.mean).all(axis=-1) & np.isfinite(track.covariance).all(axis=(-2, -1))
         for i in np.flatnonzero(~localised.any(axis=0)):
             fix = "export another --variant, or leave the demonstration out with --only."
             raise BadData(
                 track.path, track.names[i], expected="a place in at least one frame", got="none in any", fix=fix
             )
         self._held[entry.name] = int((~localised).sum())
-        variance = np.trace(track.covariance, axis1=-2, axis2=-1)
         noise = _generator(self.choice.seed, entry.name).normal(0.0, self.choice.noise, track.mean.shape)
         seen = [track.observed(camera) for camera in track.camera_names]
         values = {
             "time": demonstration.cameras[0].time,
             "keypoints": held(track.mean, localised) + noise,
-            "spread": np.sqrt(np.maximum(held(variance, localised), 0.0)),
+            "spread": held(spread(track.covariance), localised),
             "observed": np.any(seen, axis=0) & localised,
             "localised": localised,
             **_of_robot(demonstration),
