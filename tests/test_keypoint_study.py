@@ -150,7 +150,7 @@ def test_the_temperature_is_that_of_distances_as_they_were_trained() -> None:
 
 def test_single_frames_have_their_best_match_as_mode(found: dict) -> None:
     told = found["groups"]["carton+tin"]["methods"]
-    assert told["main: expectation"]["error_of_mode"]["visible"]["median"] < 0.005
+    assert told["main: expectation"]["error_of_mode"]["visible"]["median"] < 0.01  # A pixel is 8 mm wide.
     single, flat = told["main: expectation"], told["main: expectation, no temperature"]
     medians = [one["error_of_mode"]["visible"]["median"] for one in (single, flat)]
     assert medians[0] == pytest.approx(medians[1], abs=1e-3)
