@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 
+from bask_data.core.bayes_filter import Filter, settings_named
 from bask_data.core.geometry import in_image, scale_pixels
 from bask_data.core.heatmap import softmax_map
 from bask_data.dataset import Dataset
@@ -253,9 +255,11 @@ def _tracks(dataset: Dataset, variant: str) -> list[KeypointTrack]:
 def temperature(dataset: Dataset, variant: str, descriptor: DescriptorNet) -> float:
     """alpha of the heat maps softmax(-alpha z): that of the tracks made of the variant, or else of its training."""
     for track in _tracks(dataset, variant):
-        given = track.manifest.params.get("alpha")
-        # As the filters resolve it when it is not given.
-        return float(given or (20.0 if track.metadata.filter == "expectation" else ALPHA))
+        if track.metadata.filter in get_args(Filter):
+            params = track.manifest.params
+            return settings_named(
+                track.metadata.filter, params.get("settings", "default"), alpha=params.get("alpha")
+            ).alpha
     params = descriptor.manifest.params
     # Only a network that was trained on heat maps knows one.
     return float(params.get("alpha") or ALPHA) if params.get("loss") == "infonce" else ALPHA

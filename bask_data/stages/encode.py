@@ -240,9 +240,14 @@ def _resumed(tracker: KeypointTracker, out: Path) -> int:
         for part in (*out.glob("*.part"), *out.rglob("*.partial")):
             part.unlink()
     else:
-        for left in out.iterdir():
-            shutil.rmtree(left) if left.is_dir() else left.unlink()
+        _clear(out)
     return tracker.n_steps
+
+
+def _clear(out: Path) -> None:
+    """Take away what an interrupted attempt left."""
+    for left in out.iterdir():
+        shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
 class _Frames(NamedTuple):
@@ -309,6 +314,7 @@ def _write_truth(
         expected = f"a keypoint on an object whose transform is known in {name}"
         raise BadData(reference.path, "picks", expected=expected, got="none", fix="see `bask-data reference --help`.")
     names, k = [camera.name for camera in cameras], places.shape[1]
+    _clear(out)
     with KeypointTrack.writer(out, names=reference.names, filter="truth", cameras=names) as writer:
         for i_frame in progress(range(cameras[0].n_frames), "writing keypoints"):
             points = places[i_frame]

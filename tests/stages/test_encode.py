@@ -229,19 +229,23 @@ def _break_after_eight_frames(broken: pytest.MonkeyPatch, network: ColourNetwork
     broken.setattr(KeypointTracker, "save", half_saved)
 
 
-def test_what_another_attempt_left_without_a_state_is_not_gone_on_with(tmp_path: Path) -> None:
-    dataset = dataset_of(tmp_path / "d", {"wrist": poses()})
+@pytest.mark.parametrize("source", ["network", "truth"])
+def test_what_another_attempt_left_without_a_state_is_not_gone_on_with(tmp_path: Path, source: str) -> None:
+    dataset = dataset_of(tmp_path / "d", {"wrist": poses()}, has_truth=True)
+    publish_truth(dataset)
     out = tmp_path / "out"
-    (out / "mean" / "c").mkdir(parents=True)
-    (out / "mean" / "c" / "0").write_bytes(b"old")
+    (out / "mean" / "c" / "0").mkdir(parents=True)
+    (out / "mean" / "zarr.json").write_text("{}")
+    (out / "mean" / "c" / "0" / "old").write_bytes(b"old")
     (out / "other").write_bytes(b"old")
     inputs = (
         Demonstration(dataset.path(Demonstration, "reach")),
         DescriptorNet(dataset.path(DescriptorNet)),
         ReferenceKeypoints(dataset.path(ReferenceKeypoints)),
     )
-    encode(*inputs, truths=[], params=EncodeParams(n_particles=100), out=out)
-    assert not (out / "other").exists()
+    truths = [Truth(dataset.path(Truth, "reach"))]
+    encode(*inputs, truths=truths, params=EncodeParams(n_particles=100, source=source), out=out)
+    assert not (out / "other").exists() and not (out / "mean" / "c" / "0" / "old").exists()
     assert np.isfinite(KeypointTrack(out).mean).all()
 
 
