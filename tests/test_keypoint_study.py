@@ -16,9 +16,11 @@ from bask_data.errors import BadData, UsageError
 from bask_data.evaluation import evaluated_keypoints
 from bask_data.evaluation.keypoint_study import FILE, is_current, methods_of, save_study
 from bask_data.evaluation.tracked_points import ROUND, points_to_track, true_tracks
-from bask_data.kinds import Demonstration, DescriptorNet, Pick, ReferenceKeypoints, Scan, Truth
+from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Scan, Truth
 from bask_data.kinds.truth import TruthMetadata
 from bask_data.report.study import method_colours, write_pictures
+from bask_data.stage import make, plan
+from bask_data.stages.encode import encode
 from tests.datasets import publish_artifact, publish_recording
 from tests.described import (
     HALF,
@@ -47,7 +49,7 @@ class Colours:
         self._factor = 0.0 if is_blind else 0.1
 
     def distance_maps(self, rgb: np.ndarray, references: np.ndarray) -> np.ndarray:
-        away = self._factor * rgb.astype(np.float32)[None] - references[:, None, None]
+        away = self._factor * rgb.astype(np.float32)[..., None, :, :, :] - references[:, None, None]
         return (np.linalg.norm(away, axis=-1) / np.sqrt(3)).astype(np.float32)
 
     def descriptors_at(self, rgb: np.ndarray, uv: np.ndarray):
@@ -153,7 +155,7 @@ def test_single_frames_have_their_best_match_as_mode(found: dict) -> None:
     assert told["main: expectation"]["error_of_mode"]["visible"]["median"] < 0.01  # A pixel is 8 mm wide.
     single, flat = told["main: expectation"], told["main: expectation, no temperature"]
     medians = [one["error_of_mode"]["visible"]["median"] for one in (single, flat)]
-    assert medians[0] == pytest.approx(medians[1], abs=1e-3)
+    assert medians[0] == pytest.approx(medians[1], abs=5e-3)  # The same pixel, at a depth that the heat weighs.
     assert single["apart"]["visible"]["mean"] < flat["apart"]["visible"]["mean"]
 
 
@@ -255,6 +257,25 @@ def test_reference_keypoints_of_the_dataset_can_be_tracked(dataset: Dataset) -> 
         points_to_track(dataset, ["pan"], 16, "main", 0)
     with pytest.raises(UsageError, match="--reference: expected one of main, made, got other"):
         points_to_track(dataset, ["tin"], 16, "other", 0)
+
+
+def test_what_is_studied_is_what_encode_makes(dataset: Dataset) -> None:
+    picks = points_to_track(dataset, ["carton", "tin"], 4, "", 0)
+    camera = Scan(dataset.path(Scan, "scan")).camera("wrist")
+    uv = np.array([[[pick.u, pick.v]] for pick in picks])
+    described = [NETWORKS["main"].descriptors_at(camera.rgb(picks[0].frame), one).numpy()[0] for one in uv]
+
+    def fill(out: Path) -> None:
+        ReferenceKeypoints.write(out, descriptors=np.stack(described), picks=picks)
+
+    publish_artifact(dataset, ReferenceKeypoints, "", fill)
+    [task] = plan(dataset, encode, only=["demo-a"])
+    assert make(task).status == "made"
+    track = KeypointTrack(dataset.path(KeypointTrack, "demo-a"))
+    error = np.linalg.norm(track.mean - true_tracks(dataset, picks, "demo-a"), axis=2)
+    told = evaluated_keypoints(dataset, demonstrations=["demo-a"], reference="main")["groups"]["carton+tin"]
+    studied = told["methods"]["main: particle"]["by_keypoint"]
+    assert [one["mean"] for one in studied.values()] == pytest.approx(error.mean(axis=0), abs=1e-6)
 
 
 @pytest.mark.parametrize(

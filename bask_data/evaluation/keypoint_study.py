@@ -7,12 +7,14 @@ of single frames, of the discrete and of the particle filter.
 
 from __future__ import annotations
 
-import os
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from bask_data.artifact import write_text_atomically
 from bask_data.dataset import Dataset
 from bask_data.evaluation.held_out import check_variants
 from bask_data.evaluation.places import known_of
@@ -23,16 +25,16 @@ from bask_data.evaluation.tracked_points import (
     true_tracks,
     whole,
 )
-from bask_data.kinds import Camera, Demonstration, DescriptorNet, Pick, Truth
+from bask_data.kinds import Camera, Demonstration, DescriptorNet, Pick, ReferenceKeypoints, Truth
 from bask_data.kinds.places import points_on_objects, true_pixels
 from bask_data.progress import progress
-from bask_data.stages.encode import cameras_of, gripper_motions
+from bask_data.stages.encode import cameras_of, grippers_of
+from bask_data.tracker import Keypoints, KeypointTracker
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from bask_data.core.bayes_filter import Belief, Estimate, Named, Settings
-    from bask_data.core.heatmap import Observation
+    from bask_data.core.bayes_filter import Named, Settings
     from bask_data.core.keypoint_scores import Sighting
     from bask_data.nn.network import DescriptorNetwork
 
@@ -148,8 +150,11 @@ def evaluated_keypoints(
     found: dict[str, Any] = {}
     for tracked_objects, names in groups.items():
         picks = points_to_track(dataset, tracked_objects, n_keypoints, reference, seed)
-        references = {name: _references(dataset, network, picks) for name, network in networks.items()}
-        tracks = [_tracked(dataset, name, cameras, picks, networks, references, methods, seed) for name in names]
+        with TemporaryDirectory(prefix="bask-data-") as folder:
+            references = {
+                name: _references(dataset, network, picks, Path(folder) / name) for name, network in networks.items()
+            }
+            tracks = [_tracked(dataset, name, cameras, picks, networks, references, methods, seed) for name in names]
         on = points_on_objects(picks, known_of(dataset, picks)).names
         found["+".join(tracked_objects)] = _told(picks, on, tracks, methods)
     return {
@@ -167,16 +172,8 @@ def evaluated_keypoints(
 
 def save_study(dataset: Dataset, found: Mapping[str, Any]) -> Path:
     """Keep a study where the dataset's report finds it; what was there is replaced in one step."""
-    import json
-
     path = dataset.root / FILE
-    path.parent.mkdir(exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.unfinished")
-    try:
-        unfinished.write_text(json.dumps(found, allow_nan=False) + "\n", encoding="utf-8")
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    write_text_atomically(path, json.dumps(found, allow_nan=False) + "\n")
     return path
 
 
@@ -217,8 +214,10 @@ def _digest(path: Path) -> str:
 # Tracking ------------------------------------------------------------------------------------------------------------
 
 
-def _references(dataset: Dataset, network: DescriptorNetwork, picks: Sequence[Pick]) -> np.ndarray:
-    """Descriptors (k, d) of the points where they were picked."""
+def _references(
+    dataset: Dataset, network: DescriptorNetwork, picks: Sequence[Pick], folder: Path
+) -> ReferenceKeypoints:
+    """The points as a network describes them where they were picked."""
     import numpy as np
 
     found = []
@@ -228,7 +227,8 @@ def _references(dataset: Dataset, network: DescriptorNetwork, picks: Sequence[Pi
         image = picked_in.recording.camera(pick.camera).rgb(pick.frame)
         uv = np.array([[pick.u, pick.v]], dtype=np.float32)
         found.append(network.descriptors_at(image, uv)[0].cpu().numpy())
-    return np.stack(found)
+    ReferenceKeypoints.write(folder, descriptors=np.stack(found), picks=list(picks))
+    return ReferenceKeypoints(folder)
 
 
 def _tracked(
@@ -237,11 +237,11 @@ def _tracked(
     asked: Sequence[str],
     picks: Sequence[Pick],
     networks: Mapping[str, DescriptorNetwork],
-    references: Mapping[str, np.ndarray],
+    references: Mapping[str, ReferenceKeypoints],
     methods: Sequence[Method],
     seed: int,
 ) -> Tracked:
-    """One pass over a demonstration's frames, each described once by each network."""
+    """One pass over a demonstration's frames, each described once by each network and tracked as `encode` does."""
     import numpy as np
 
     one = whole(dataset, name)
@@ -250,46 +250,35 @@ def _tracked(
     assert isinstance(demonstration, Demonstration), "asked only of demonstrations"
     cameras = cameras_of(demonstration, tuple(asked))
     tracked = _with_truth(dataset, name, cameras, picks, one.truth)
-    runs = {method.name: _Run(method, seed) for method in methods}
-    motions = gripper_motions(demonstration, len(tracked.places))
+    trackers = {
+        method.name: KeypointTracker(
+            networks[method.variant],
+            references[method.variant],
+            method.settings,
+            seed,
+            cameras=tracked.cameras,
+        )
+        for method in methods
+    }
+    grippers, found = grippers_of(demonstration, len(tracked.places)), {name: list[Keypoints]() for name in trackers}
     for i_frame in progress(range(len(tracked.places)), f"tracking in {name}"):
-        images = [(camera.rgb(i_frame), camera.depth(i_frame)) for camera in cameras]
-        for variant, network in networks.items():
-            observations = [
-                _observation(network, references[variant], camera, *image, i_frame)
-                for camera, image in zip(cameras, images, strict=True)
-            ]
-            if i_frame == 0:
-                tracked.first_maps[variant] = _coarse(observations[0].distance)
-            if i_frame % HISTOGRAM_EVERY == 0:
-                _count(tracked, variant, one.truth, picks, observations, i_frame)
-            for run in runs.values():
-                if run.method.variant == variant:
-                    run.step(observations, motions[i_frame])
-    for method, run in runs.items():
-        tracked.mean[method] = np.stack([estimate.mean for estimate in run.estimates])
-        tracked.mode[method] = np.stack([estimate.mode for estimate in run.estimates])
-        tracked.pixel[method] = np.stack([_pixels(run.shapes, cameras, estimate) for estimate in run.estimates])
+        frame = (
+            {camera.name: camera.rgb(i_frame) for camera in cameras},
+            {camera.name: camera.depth(i_frame) for camera in cameras},
+            {camera.name: camera.K for camera in cameras},
+            {camera.name: camera.world_from_cameras[i_frame] for camera in cameras},
+        )
+        for variant in networks:
+            mine = [method.name for method in methods if method.variant == variant]
+            look = trackers[mine[0]].look(*frame)
+            _count(tracked, variant, one.truth, look.observations[cameras[0].name].distance, i_frame)
+            for method in mine:
+                found[method].append(trackers[method].update(look, None if grippers is None else grippers[i_frame]))
+    for method, keypoints in found.items():
+        tracked.mean[method] = np.stack([one.mean for one in keypoints])
+        tracked.mode[method] = np.stack([one.mode for one in keypoints])
+        tracked.pixel[method] = np.stack([np.stack([*one.pixel.values()]) for one in keypoints])
     return tracked
-
-
-class _Run:
-    """One method on its way through a demonstration."""
-
-    def __init__(self, method: Method, seed: int) -> None:
-        import numpy as np
-
-        self.method, self.estimates = method, list[Any]()
-        self.shapes: list[tuple[int, int]] = []
-        self._belief: Belief | None = None
-        self._rng = np.random.default_rng(seed)
-
-    def step(self, observations: Sequence[Observation], motion: Any) -> None:
-        from bask_data.core.bayes_filter import step
-
-        self._belief, estimate = step(self._belief, observations, motion, self._rng, self.method.settings)
-        self.shapes = [seen.depth.shape for seen in observations]
-        self.estimates.append(estimate)
 
 
 def _with_truth(dataset: Dataset, name: str, cameras: Sequence[Camera], picks: Sequence[Pick], truth: Truth) -> Tracked:
@@ -310,34 +299,6 @@ def _with_truth(dataset: Dataset, name: str, cameras: Sequence[Camera], picks: S
     return Tracked(name, [camera.name for camera in cameras], places, sighting(inside, hidden, places), uv)
 
 
-def _observation(
-    network: DescriptorNetwork,
-    references: np.ndarray,
-    camera: Camera,
-    rgb: np.ndarray,
-    depth: np.ndarray,
-    i_frame: int,
-) -> Observation:
-    from bask_data.core.heatmap import Observation, fitted
-
-    distance = network.distance_maps(rgb, references)
-    return fitted(Observation(distance, depth, camera.K, camera.world_from_cameras[i_frame]))
-
-
-def _pixels(shapes: Sequence[tuple[int, int]], cameras: Sequence[Camera], estimate: Estimate) -> np.ndarray:
-    """An estimate's pixels (c, k, 2) in the images as recorded."""
-    import numpy as np
-
-    from bask_data.core.geometry import scale_pixels
-
-    return np.stack(
-        [
-            scale_pixels(pixel, shape, (camera.height, camera.width))
-            for pixel, shape, camera in zip(estimate.pixel, shapes, cameras, strict=True)
-        ]
-    )
-
-
 def _coarse(maps: np.ndarray) -> np.ndarray:
     """Maps (k, h, w) at `MAP_SIZE` pixels of width, or as they are."""
     import cv2
@@ -350,24 +311,20 @@ def _coarse(maps: np.ndarray) -> np.ndarray:
     return np.stack([cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in maps])
 
 
-def _count(
-    tracked: Tracked,
-    variant: str,
-    truth: Truth,
-    picks: Sequence[Pick],
-    observations: Sequence[Observation],
-    i_frame: int,
-) -> None:
-    """Add the first camera's distance maps of the keypoints it shows to the histograms: pixels near the keypoint, of
-    other objects and of none."""
+def _count(tracked: Tracked, variant: str, truth: Truth, distance: np.ndarray, i_frame: int) -> None:
+    """Add the first camera's distance maps (k, h, w) of the keypoints it shows to the histograms: pixels near the
+    keypoint, of other objects and of none. Keep the first frame's."""
     import numpy as np
 
     from bask_data.core.geometry import pixel_grid, scale_pixels
     from bask_data.core.keypoint_scores import z_counts, z_edges
     from bask_data.kinds.truth import ROBOT
 
-    distance, camera = observations[0].distance, tracked.cameras[0]
-    labels = truth.instance(camera, i_frame)
+    if i_frame == 0:
+        tracked.first_maps[variant] = _coarse(distance)
+    if i_frame % HISTOGRAM_EVERY:
+        return
+    labels = truth.instance(tracked.cameras[0], i_frame)
     uv = scale_pixels(tracked.uv[0, i_frame], labels.shape, distance.shape[1:])
     shown = np.flatnonzero(tracked.seen.visible[i_frame] & np.isfinite(uv).all(axis=1))
     height, width = distance.shape[1:]
