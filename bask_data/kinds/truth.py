@@ -1,4 +1,4 @@
-"""Ground truth of a recording. Only evaluation and reports may read it, never a stage that makes data."""
+"""Ground truth of a recording, for evaluation and reports. Of the stages, only `encode --source truth` reads it."""
 
 from __future__ import annotations
 
