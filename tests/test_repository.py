@@ -162,7 +162,8 @@ def test_the_lock_has_a_version_in_range_for_everything_declared() -> None:
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
     declared = [
         *project["dependencies"],
-        *(line for extra in project["optional-dependencies"].values() for line in extra),
+        # What two benchmarks compare with is installed by hand, when they are run, without what it asks for.
+        *(line for name, extra in project["optional-dependencies"].items() if name != "xfeat" for line in extra),
     ]
     versions, outside = locked(), []
     for requirement in map(Requirement, declared):
