@@ -8,13 +8,14 @@ ARGS ?=
 
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help setup test test-slow demo check benchmark accuracy lock clean
+.PHONY: help setup test test-slow test-lerobot demo check benchmark accuracy lock clean
 
 help:
 	@echo "make setup      .venv with the locked versions; system libraries too, or the command that brings them"
 	@echo "make demo       the whole pipeline on two shipped recordings; ends with build/demo/report.html"
 	@echo "make test       setup and the test suite"
 	@echo "make test-slow  the tests that take long"
+	@echo "make test-lerobot  the LeRobot export, read by the lerobot package in an environment of its own (8 GB)"
 	@echo "make check      formatting, lint, types, layers, rendered files"
 	@echo "make benchmark  how fast each stage is, against a plain way of doing the same"
 	@echo "make accuracy   how right masks and matches are, on simulated, ray-cast and real scenes (half an hour)"
@@ -30,6 +31,13 @@ test: setup
 
 test-slow: setup
 	$(VENV)/python -m pytest -m slow --timeout 7200 --durations 15 $(ARGS)
+
+# lerobot asks for other versions than we do; 0.4.4 is the last for Python 3.11.
+build/lerobot/bin/python:
+	python3.11 -m venv build/lerobot && build/lerobot/bin/pip install --quiet lerobot==0.4.4
+
+test-lerobot: setup build/lerobot/bin/python
+	BASK_DATA_LEROBOT=$(CURDIR)/build/lerobot/bin/python $(VENV)/python -m pytest tests/export/test_lerobot.py
 
 demo: setup
 	$(VENV)/python pipelines/demo.py
