@@ -7,12 +7,14 @@ const TOKEN = new URLSearchParams(location.search).get("token") || "";
 const N_OTHERS = 6;
 const NEAR = 0.04; // of an image's width: a best match within this of the true place is right
 const REACH = 11; // CSS pixels around a keypoint that grasp it
-const COLOURS = [[18, 16, 28, 0], [87, 16, 110, 0.55], [188, 55, 84, 0.72], [249, 142, 9, 0.85], [252, 255, 164, 0.95]];
+const COLOURS = [[10, 12, 18, 0.46], [87, 16, 110, 0.55], [188, 55, 84, 0.72], [249, 142, 9, 0.85], [252, 255, 164, 0.95]];
+
+const IN_MEMORY = { willReadFrequently: true }; // as fast with a graphics card, and twice as fast without one
 
 const $ = (id) => document.getElementById(id);
 const state = { marks: [], can_undo: false, can_redo: false, is_saved: false, recordings: [] };
 const views = [];
-const heat = { at: null, scale: 1, middle: 1 };
+const heat = { at: null, scale: 1, middle: 1, sharpness: 6 };
 let chosen = "";
 let hovered = null; // {view, u, v}: under the pointer, or under the keyboard's cross
 let dragged = null; // {name, view, u, v, has_moved}
@@ -82,7 +84,7 @@ class View {
   constructor(parent) {
     const root = $("view").content.cloneNode(true).firstElementChild;
     parent.append(root);
-    Object.assign(this, { root, frame: null, picture: null, found: null, layer: document.createElement("canvas") });
+    Object.assign(this, { root, frame: null, picture: null, found: null, layer: blank(), backdrop: blank(), shown: "" });
     for (const name of ["recording", "camera", "swap", "frame"]) this[`${name}Field`] = root.querySelector(`.${name}`);
     this.canvas = root.querySelector("canvas");
     this.output = root.querySelector("output");
@@ -121,7 +123,7 @@ class View {
     try {
       const picture = await pictureOf(frame);
       if (this.frame !== frame) return;
-      this.picture = picture;
+      Object.assign(this, { picture, shown: "" });
       draw();
       await described(frame, () => this.frame === frame);
       if (this.frame !== frame) return;
@@ -225,6 +227,7 @@ class View {
   }
 }
 
+const blank = () => document.createElement("canvas");
 const clamp = (value, size) => Math.max(0, Math.min(value, size - 1));
 const same = (a, b) => a[0] === b[0] && a[1] === b[1] && a[2] === b[2];
 const key = (frame) => frame.join("\n");
@@ -328,9 +331,10 @@ function wanted() {
 }
 
 function hover(at) {
+  const touched = [hovered, at].filter((one) => one).map((one) => one.view);
   hovered = at;
   askHeat();
-  draw();
+  draw(touched);
 }
 
 let isAsking = false, isStale = false;
@@ -367,7 +371,6 @@ function takeHeat(buffer, at, shown, frames) {
     offset += width * height;
     if (view.frame === frames[i]) view.found = { ...found, width, height, codes, isDrawn: false };
   });
-  performance.mark("heat");
   tell(at, shown);
   draw();
 }
@@ -385,7 +388,7 @@ function tell(at, shown) {
 }
 
 function likelihood(z) {
-  return Math.exp((-Number($("sharpness").value) * z) / heat.middle);
+  return Math.exp((-heat.sharpness * z) / heat.middle);
 }
 
 function colourTable() {
@@ -402,7 +405,7 @@ function layerOf(view, table) {
   const { width, height, codes, isDrawn } = view.found;
   if (!isDrawn) {
     Object.assign(view.layer, { width, height });
-    const context = view.layer.getContext("2d"), image = context.createImageData(width, height);
+    const context = view.layer.getContext("2d", IN_MEMORY), image = context.createImageData(width, height);
     const pixels = new Uint32Array(image.data.buffer);
     for (let i = 0; i < codes.length; i++) pixels[i] = table[codes[i]];
     context.putImageData(image, 0, 0);
@@ -432,16 +435,14 @@ async function askMatches() {
 
 // Drawing --------------------------------------------------------------------------------------------------------------
 
-let isDue = false;
-function draw() {
-  if (isDue) return;
-  isDue = true;
-  requestAnimationFrame(() => {
-    isDue = false;
-    if (!views.length) return;
+const due = new Set();
+function draw(some = views) {
+  if (!due.size) requestAnimationFrame(() => {
     const table = colourTable();
-    views.forEach((view) => paint(view, table));
+    for (const view of due) if (views.includes(view)) paint(view, table);
+    due.clear();
   });
+  for (const view of some) due.add(view);
 }
 
 function colourOf(name) {
@@ -453,21 +454,29 @@ function paint(view, table) {
   const { canvas, picture } = view, ratio = devicePixelRatio || 1;
   const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
   if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-  const context = canvas.getContext("2d");
+  const context = canvas.getContext("2d", IN_MEMORY);
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
   if (!view.frame || !picture) return;
   const { zoom, x, y } = view.place, wide = Math.round(zoom * view.camera.width), high = Math.round(zoom * view.camera.height);
-  context.imageSmoothingQuality = "high";
-  context.drawImage(picture, x, y, wide, high);
-  if (view.found && $("show-heat").checked) {
-    context.fillStyle = "#0a0c1278";
-    context.fillRect(x, y, wide, high);
-    context.drawImage(layerOf(view, table), x, y, wide, high);
-  }
+  context.drawImage(backdropOf(view, wide * ratio, high * ratio), x, y, wide, high);
+  if (view.found && $("show-heat").checked) context.drawImage(layerOf(view, table), x, y, wide, high);
   paintMatches(context, view);
   paintFound(context, view);
   for (const mark of state.marks) if (same(frameOf(mark), view.frame)) paintMark(context, view, mark);
+}
+
+// The picture at the size it is shown in: scaling it well is dear, and it is drawn again with every move of the pointer.
+function backdropOf(view, width, height) {
+  const { backdrop, picture, frame } = view, shown = [...frame, width, height].join("\n");
+  if (view.shown !== shown) {
+    Object.assign(backdrop, { width, height });
+    const context = backdrop.getContext("2d", IN_MEMORY);
+    context.imageSmoothingQuality = "high";
+    context.drawImage(picture, 0, 0, width, height);
+    view.shown = shown;
+  }
+  return backdrop;
 }
 
 function ring(context, [x, y], radius, colour, width) {
@@ -705,13 +714,18 @@ function onKey(event) {
 
 async function start() {
   Object.assign(state, await told("start"));
+  heat.sharpness = Number($("sharpness").value); // a reload keeps where it was set
   $("title").textContent = state.title;
   for (let i = 0; i <= N_OTHERS; i++) views.push(new View(i ? $("other-views") : $("main-view")));
   $("undo").onclick = () => edit({ do: "undo" });
   $("redo").onclick = () => edit({ do: "redo" });
   $("show-heat").onchange = draw;
   $("show-matches").onchange = askMatches;
-  $("sharpness").oninput = () => { views.forEach((view) => { if (view.found) view.found.isDrawn = false; }); draw(); };
+  $("sharpness").oninput = () => {
+    heat.sharpness = Number($("sharpness").value);
+    views.forEach((view) => { if (view.found) view.found.isDrawn = false; });
+    draw();
+  };
   $("shuffle").onclick = shuffle;
   $("help").onclick = () => $("keys").showModal();
   $("propose").onclick = openProposals;
