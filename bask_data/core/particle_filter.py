@@ -19,6 +19,7 @@ from numpy.random import Generator
 from bask_data.core.compiled import compiled
 from bask_data.core.geometry import invert_rigid, transform, unproject
 from bask_data.core.heatmap import (
+    TAU_MOST,
     Estimate,
     Motion,
     Observation,
@@ -40,15 +41,18 @@ DRAW_BLOCK = 4
 MODE_RADIUS = 0.03
 """Metres around the mode within which particles count as one hypothesis."""
 
-LOOKALIKE_RADIUS = 0.03
-"""Metres around a look-alike that count as the same place. A track must be as sure, for what is twice as far to be a
-look-alike."""
+LOOKALIKE_RADIUS = 0.06
+"""Metres around a look-alike, or around the track, that count as the same place. A track must be twice as sure to tell
+the one from the other."""
 
 LOOKALIKE_BETTER = 1.5
 """What matches better than a look-alike by this factor is another thing that came to its place."""
 
 FOUND = 2.0
 """A track is found where a camera sees it match this many times better than tau."""
+
+USUAL_RATE = 0.1
+"""How fast the usual match follows that of a frame."""
 
 UNFOUND_MASS = 20.0
 """How much more weight is drawn anew until then."""
@@ -68,7 +72,10 @@ class ParticleSettings:
     """Likelihood of any observation if the camera does not see the particle; None: `unseen_likelihood` says it of each
     frame."""
     tau_ratio: float = 2.0
-    """Without `tau`: how much likelier the keypoint is out of sight than at the average pixel."""
+    """Without `tau`: how much likelier the keypoint is out of sight than at the average pixel ..."""
+    tau_match: float = 0.01
+    """... and at least: this share of how well the track has matched, on average, while seen. The best match of an
+    image that does not show the keypoint is far above the average pixel."""
     walk: float = 0.002
     """Standard deviation of the random walk in one frame and along each axis, metres."""
     gripper_probability: float = 0.2
@@ -118,8 +125,8 @@ class ParticleBelief:
     """Places that are not the keypoint, however they match, the last found first; NaN where there are not so many."""
     lookalike_match: Float[ndarray, "k m"]
     """exp(-alpha z) of each."""
-    found: Bool[ndarray, "k"]
-    """Whether the track has ever been seen to match."""
+    usual_match: Float[ndarray, "k"]
+    """p_d p_c of the track on average, of late, while it was seen; 0 where it never was."""
 
 
 def particle_step(
@@ -146,7 +153,7 @@ def particle_step(
         belief, looks, log_evidence = drawn
     else:
         belief = move(belief, motion, rng, settings)
-        looks = [look(belief.points_world, seen, settings) for seen in given]
+        looks = [look(belief.points_world, seen, settings, belief.usual_match) for seen in given]
         with np.errstate(divide="ignore"):
             log_weight = np.log(belief.weight)
         for one in looks:
@@ -197,7 +204,12 @@ class Look:
     tau: Float[ndarray, "k"]
 
 
-def look(points_world: Float[ndarray, "k n 3"], seen: Observation, settings: ParticleSettings) -> Look:
+def look(
+    points_world: Float[ndarray, "k n 3"],
+    seen: Observation,
+    settings: ParticleSettings,
+    usual_match: Float[ndarray, "k"] | float = 0.0,
+) -> Look:
     """Particles in a camera's frame.
 
         p = p_o p_f tau + (1 - p_f) tau + (1 - p_o) p_f p_d p_c
@@ -212,6 +224,8 @@ def look(points_world: Float[ndarray, "k n 3"], seen: Observation, settings: Par
     Source: von Hartz et al. 2023, Eq. 6 to 10.
     """
     tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
+    if settings.tau is None:
+        tau = np.maximum(tau, np.minimum(settings.tau_match * usual_match, TAU_MOST))
     rotation, position = seen.world_from_camera[:3, :3], seen.world_from_camera[:3, 3]
     noise = (settings.depth_noise, settings.depth_noise_floor, settings.occlusion_margin, settings.hidden_without_depth)
     total, part = np.empty(points_world.shape[:2]), np.empty(points_world.shape[:2])
@@ -311,8 +325,8 @@ def new_belief(
     """Particles that nothing holds, and no place that looks alike yet."""
     k = len(points_world)
     nowhere = np.full((k, n_lookalikes, 3), np.nan)
-    held, found = np.zeros(weight.shape, dtype=bool), np.zeros(k, dtype=bool)
-    return ParticleBelief(points_world, weight, held, nowhere, np.zeros((k, n_lookalikes)), found)
+    held = np.zeros(weight.shape, dtype=bool)
+    return ParticleBelief(points_world, weight, held, nowhere, np.zeros((k, n_lookalikes)), np.zeros(k))
 
 
 @dataclass(frozen=True)
@@ -375,10 +389,10 @@ def refresh(
     if settings.resampling == "systematic":
         spread = np.full_like(spread, spread[0])
     matched, tau = matched_now(belief, looks)
-    belief = replace(_resampled(belief, spread, settings), found=belief.found | (matched > FOUND * tau))
+    belief = replace(_resampled(belief, spread, settings), usual_match=_usual_match(belief, matched, tau))
     n_new = round(settings.redraw_share * n)
     usable = [seen for seen in observations if (seen.depth > 0).any()]
-    ties = 1.0 + 1e-6 * rng.random(n)
+    ties = 1.0 + 1e-6 * rng.random(n)  # Equal weights would leave the choice to how a sort goes about it.
     if not n_new or not usable:
         return belief
     parts = [len(part) for part in np.array_split(np.arange(n_new), len(usable))]
@@ -389,10 +403,13 @@ def refresh(
     match = np.concatenate([one.match for one in drawn], axis=1)
     share, is_new = np.full(k, settings.redraw_mass), np.ones(match.shape, dtype=bool)
     if settings.n_lookalikes:
-        share *= np.where(belief.found, 1.0 - matched, UNFOUND_MASS)
+        share *= np.where(belief.usual_match > 0, 1.0 - matched, UNFOUND_MASS)
         is_new = ~known_lookalikes(belief, new, match)
         belief = _with_lookalikes(belief, estimate, matched, new, match)
-    at = np.arange(k)[:, None], np.argpartition(belief.weight * ties, n_new, axis=1)[:, :n_new]
+    at = (
+        np.arange(k)[:, None],
+        np.sort(np.argpartition((belief.weight + 1e-300) * ties, n_new, axis=1)[:, :n_new], axis=1),
+    )
     points, weight, held = belief.points_world.copy(), belief.weight.copy(), belief.held.copy()
     points[at], held[at], weight[at] = new, False, 0.0
     weight /= weight.sum(axis=1, keepdims=True)
@@ -408,6 +425,12 @@ def matched_now(belief: ParticleBelief, looks: Sequence[Look]) -> tuple[Float[nd
     matched = np.stack([np.einsum("kn,kn->k", belief.weight, one.seen) for one in looks])
     best = matched.argmax(axis=0), np.arange(matched.shape[1])
     return np.minimum(matched[best], 1.0), np.stack([one.tau for one in looks])[best]
+
+
+def _usual_match(belief: ParticleBelief, matched: Float[ndarray, "k"], tau: Float[ndarray, "k"]) -> Float[ndarray, "k"]:
+    """The usual match after a frame in which the track matched like this."""
+    rate = np.where(belief.usual_match > 0, USUAL_RATE, 1.0)
+    return belief.usual_match + np.where(matched > FOUND * tau, rate, 0.0) * (matched - belief.usual_match)
 
 
 def known_lookalikes(
@@ -428,8 +451,8 @@ def _with_lookalikes(
 ) -> ParticleBelief:
     """The belief with what was drawn far from tracks that are seen and sure, and match as well."""
     spread = np.sqrt(np.trace(estimate.covariance, axis1=1, axis2=2))
-    sure = belief.found & (spread < LOOKALIKE_RADIUS)
-    far = np.linalg.norm(points_world - estimate.mean[:, None], axis=-1) > 2 * LOOKALIKE_RADIUS
+    sure = (belief.usual_match > 0) & (spread < 0.5 * LOOKALIKE_RADIUS)
+    far = np.linalg.norm(points_world - estimate.mean[:, None], axis=-1) > LOOKALIKE_RADIUS
     other = sure[:, None] & far & (match < LOOKALIKE_BETTER * matched[:, None])
     m = belief.lookalikes.shape[1]
     places, values = belief.lookalikes.copy(), belief.lookalike_match.copy()
@@ -500,16 +523,25 @@ def mode(
 
     A histogram would be cheaper, but a cluster cut by its cells loses against a lighter one that is not.
     """
-    k = len(points)
-    offset = (points - np.einsum("kn,kni->ki", weight, points)[:, None]).astype(np.float32)
-    some = np.stack([one[stratified(w, np.full(N_MODES, 0.5))] for one, w in zip(offset, weight, strict=True)])
-    square = np.einsum("kni,kni->kn", offset, offset)[:, None] - 2 * some @ offset.transpose(0, 2, 1)
-    near = square < np.float32(radius**2) - np.einsum("kci,kci->kc", some, some)[..., None]
-    heaviest = (near @ weight.astype(np.float32)[..., None])[..., 0].argmax(axis=1)
-    inside = near[np.arange(k), heaviest] * weight
-    for _ in range(2):
-        centre = np.einsum("kn,kni->ki", inside, points) / inside.sum(axis=1)[:, None]
+    some = np.stack([one[stratified(w, np.full(N_MODES, 0.5))] for one, w in zip(points, weight, strict=True)])
+    centre = some[np.arange(len(points)), _mass_around(some, points, weight, radius).argmax(axis=1)]
+    for _ in range(3):
         away = points - centre[:, None]
-        shifted = (np.einsum("kni,kni->kn", away, away) < radius**2) * weight
-        inside = np.where(shifted.sum(axis=1)[:, None] > 0, shifted, inside)
-    return np.einsum("kn,kni->ki", inside, points) / inside.sum(axis=1)[:, None]
+        inside = (np.einsum("kni,kni->kn", away, away) < radius**2) * weight
+        total = inside.sum(axis=1)[:, None]
+        centre = np.where(total > 0, np.einsum("kn,kni->ki", inside, points) / np.where(total > 0, total, 1.0), centre)
+    return centre
+
+
+@compiled
+def _mass_around(some: ndarray, points: ndarray, weight: ndarray, radius: float) -> ndarray:
+    """Weight of the points around each of some of them."""
+    mass = np.zeros(some.shape[:2])
+    for k in range(some.shape[0]):
+        for c in range(some.shape[1]):
+            x, y, z = some[k, c, 0], some[k, c, 1], some[k, c, 2]
+            for n in range(points.shape[1]):
+                a, b, d = points[k, n, 0] - x, points[k, n, 1] - y, points[k, n, 2] - z
+                if a * a + b * b + d * d < radius * radius:
+                    mass[k, c] += weight[k, n]
+    return mass

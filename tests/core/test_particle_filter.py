@@ -14,6 +14,7 @@ from bask_data.core.particle_filter import (
     ParticleBelief,
     ParticleSettings,
     draw,
+    known_lookalikes,
     look,
     mode,
     move,
@@ -458,3 +459,119 @@ def test_an_object_that_jumps_is_found_again_within_few_frames() -> None:
         if i == 15:
             assert np.linalg.norm(estimate.mode[0] - place) < 0.03
     assert np.linalg.norm(estimate.mean[0] - [0.2, 0.05, 1.0]) < 0.03
+
+
+def both(one: Observation, other: Observation) -> Observation:
+    return replace(one, distance=np.minimum(one.distance, other.distance))
+
+
+def test_a_twin_that_was_seen_beside_the_keypoint_stays_one_when_it_is_alone() -> None:
+    """The camera turns from the keypoint to both and on to its twin, which then is all there is to see."""
+    truth, twin = [-0.3, 0.0, 1.0], [0.3, 0.0, 1.0]
+    turns = [-0.5] * 8 + list(np.linspace(-0.5, 0, 8)) + [0.0] * 8 + list(np.linspace(0, 0.5, 10)) + [0.5] * 30
+    errors = {}
+    for n_lookalikes in (64, 0):
+        belief, rng = None, np.random.default_rng(0)
+        for turn in turns:
+            seen = both(wall(camera_at(turn=turn), [truth]), wall(camera_at(turn=turn), [twin]))
+            settings = ParticleSettings(n_lookalikes=n_lookalikes)
+            belief, estimate = particle_step(belief, [seen], None, rng, settings)
+        errors[n_lookalikes] = np.linalg.norm(estimate.mean[0] - truth)
+        assert not estimate.observed.any() or n_lookalikes == 0
+    assert errors[64] < 0.03
+    assert errors[0] > 0.5  # What the paper's filter makes of it.
+
+
+def test_what_matches_better_than_a_lookalike_did_is_another_thing_at_its_place() -> None:
+    belief = even(np.zeros((1, 10, 3)))
+    belief = replace(
+        belief, lookalikes=np.array([[[0.5, 0.0, 1.0], [np.nan] * 3]]), lookalike_match=np.array([[0.4, 0]])
+    )
+    points = np.array([[[0.5, 0.01, 1.0], [0.5, 0.01, 1.0], [0.5, 0.07, 1.0], [np.nan] * 3]])
+    same = known_lookalikes(belief, points, np.array([[0.5, 0.7, 0.5, 0.5]]))
+    np.testing.assert_array_equal(same, [[True, False, False, False]])
+
+
+def test_a_lookalike_that_matches_better_than_the_track_is_not_remembered() -> None:
+    """The track may be wrong: what it began with, before the keypoint came into view, is not the keypoint."""
+    belief, rng = None, np.random.default_rng(0)
+    for turn in [0.9] * 10 + [0.0] * 15:
+        belief, estimate = particle_step(belief, [wall(camera_at(turn=turn), [[0.0, 0.05, 1.0]])], None, rng)
+    near = np.linalg.norm(belief.lookalikes[0] - [0, 0.05, 1], axis=1) < 0.03
+    assert not near.any()
+    assert np.linalg.norm(estimate.mean[0] - [0, 0.05, 1]) < 0.02
+
+
+def test_out_of_sight_weighs_at_least_a_share_of_what_the_track_used_to_match() -> None:
+    seen = wall(np.eye(4), [[9.0, 9, 9]])
+    points = np.array([[[0.0, 0.0, 2.0]]])
+    settings = ParticleSettings(tau_match=0.25, tau_ratio=1e-9)
+    hidden, _ = likelihood(points, seen, settings)
+    assert hidden[0, 0] < 1e-6
+    usual = look(points, seen, settings, np.array([0.8]))
+    np.testing.assert_allclose(usual.likelihood[0, 0], 0.2, rtol=1e-6)
+    fixed = look(points, seen, replace(settings, tau=0.01), np.array([0.8]))
+    np.testing.assert_allclose(fixed.likelihood[0, 0], 0.01, rtol=1e-6)
+
+
+def test_the_usual_match_follows_what_is_seen_and_holds_while_nothing_is() -> None:
+    belief, rng, usual = None, np.random.default_rng(0), []
+    for i in range(30):
+        seen = wall(camera_at(turn=0.0 if i < 15 else 0.9), [[0.0, 0, 1]])
+        belief, _ = particle_step(belief, [seen], None, rng)
+        usual.append(belief.usual_match[0])
+    assert 0.6 < usual[14] <= 1.0
+    np.testing.assert_array_equal(usual[15:], usual[14])
+
+
+def test_held_particles_stay_held_for_as_long_as_memory_says() -> None:
+    settings = ParticleSettings(walk=0.0, gripper_probability=0.2, gripper_memory=0.9)
+    belief, rng = even(np.zeros((1, 20_000, 3))), np.random.default_rng(0)
+    for i in range(60):
+        motion = Motion(camera_at(0.001 * i), camera_at(0.001 * (i + 1)))
+        before, belief = belief.held, move(belief, motion, rng, settings)
+    np.testing.assert_allclose(belief.held.mean(), 0.2, atol=0.02)
+    np.testing.assert_allclose(belief.held[before].mean(), 0.9 + 0.1 * 0.2, atol=0.02)
+    np.testing.assert_allclose(belief.held[~before].mean(), 0.1 * 0.2, atol=0.01)
+
+
+def test_the_authors_gripper_does_not_turn_what_it_carries() -> None:
+    settings = ParticleSettings(walk=0.0, gripper_probability=1.0, gripper_memory=0.0, gripper_turns=False)
+    motion = Motion(camera_at(0.0, 0.0, 1.0), camera_at(0.1, 0.0, 1.0, np.pi / 2))
+    moved = move(even(np.array([[[0.0, 0.0, 1.1]]])), motion, np.random.default_rng(0), settings)
+    np.testing.assert_allclose(moved.points_world[0, 0], [0.1, 0.0, 1.1])
+
+
+def test_a_pixel_without_depth_can_be_made_to_say_nothing_at_all() -> None:
+    seen = wall(np.eye(4), [[0.0, 0, 1]])
+    total, visible = likelihood(
+        np.array([[[0.0, 0, 1.0]]]), replace(seen, depth=0 * seen.depth), replace(PURE, hidden_without_depth=1.0)
+    )
+    np.testing.assert_allclose(total, PURE.tau)
+    np.testing.assert_array_equal(visible, 0)
+
+
+def test_systematic_resampling_differs_from_a_share_by_less_than_one() -> None:
+    weight = np.random.default_rng(0).random(50) ** 4
+    weight /= weight.sum()
+    counts = np.bincount(stratified(weight, np.full(50, 0.3)), minlength=50)
+    assert (np.abs(counts - 50 * weight) < 1).all()
+    belief = replace(cloud([0.0, 0, 1], 0.05, 50), weight=weight[None])
+    _, estimate = particle_step(belief, [], None, np.random.default_rng(0), PURE)
+    settings = replace(PURE, resample_below=1.0, resampling="systematic")
+    fresh = refresh(belief, estimate, [], [], np.random.default_rng(1), settings)
+    drawn = np.array([(fresh.points_world[0] == point).all(axis=1).sum() for point in belief.points_world[0]])
+    assert (np.abs(drawn - 50 * weight) < 1).all()
+
+
+def test_a_long_run_of_any_kind_of_frames_leaves_every_number_finite() -> None:
+    rng, belief = np.random.default_rng(0), None
+    for i in range(150):
+        seen = wall(camera_at(turn=float(rng.uniform(-1, 1)) if i % 7 == 0 else 0.0), [[0.0, 0.05, 1.0], [0.1, 0, 1]])
+        seen = replace(seen, distance=seen.distance * np.float32(rng.choice([0.0, 0.3, 1.0, 20.0])))
+        seen.depth[rng.random(seen.depth.shape) < rng.random()] = 0
+        belief, estimate = particle_step(belief, [seen], None, rng, ParticleSettings(n_particles=200))
+        assert np.isfinite(estimate.mean).all()
+        assert np.isfinite(estimate.mode).all()
+        np.testing.assert_allclose(belief.weight.sum(axis=1), 1.0)
+        assert (belief.weight >= 0).all()
