@@ -31,6 +31,7 @@ from pydantic import ValidationError
 
 from bask_data import __version__
 from bask_data.artifact import (
+    MANIFEST,
     SCRATCH,
     Artifact,
     Manifest,
@@ -334,8 +335,8 @@ def _items_of(dataset: Dataset, given: Input, item: str, params: Params) -> list
         items = dataset.items(given.artifact.scope)
         if given.artifact.scope == "recording":
             # No stage makes what belongs to recordings: their source brings it, or there is none.
-            sources = {**dataset.file.scenes, **dataset.file.demonstrations}
-            items = [name for name in items if sources[name].truth]
+            sources, kind = {**dataset.file.scenes, **dataset.file.demonstrations}, given.artifact
+            items = [name for name in items if sources[name].truth or (dataset.path(kind, name) / MANIFEST).exists()]
         return [name for name in items if read is None or name in read]
     if read == ():
         return []

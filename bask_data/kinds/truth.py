@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -83,7 +84,7 @@ class Truth(Artifact):
         """Pairs of labels whose bodies touch."""
         return self.metadata.touching
 
-    @property
+    @cached_property
     def has_depth(self) -> bool:
         """Whether exact depth and camera transforms are known."""
         return all(f"{camera}/depth" in self.group for camera in self.camera_names)
@@ -99,7 +100,14 @@ class Truth(Artifact):
 
     def world_from_cameras(self, camera: str) -> np.ndarray:
         """Exact transforms of a camera (t, 4, 4) float64, metres."""
-        return read_all(self.group, f"{camera}/world_from_camera", self.path)
+        if camera not in self._world_from_cameras:
+            self._world_from_cameras[camera] = read_all(self.group, f"{camera}/world_from_camera", self.path)
+        return self._world_from_cameras[camera]
+
+    @cached_property
+    def _world_from_cameras(self) -> dict[str, np.ndarray]:
+        """Those read so far: whoever goes through frames asks in each."""
+        return {}
 
     @property
     def world_from_objects(self) -> np.ndarray | None:

@@ -358,6 +358,8 @@ def test_keypoints_without_a_known_place_are_nan_and_some_place_must_be_known(tm
 def test_true_keypoints_need_truth_and_belong_to_it(tmp_path: Path) -> None:
     dataset = dataset_of(tmp_path / "d", {"wrist": poses()})
     assert why_not(dataset, source="truth") == "the dataset has no truth"
+    publish_truth(dataset)
+    assert tracked(dataset, source="truth").metadata.filter == "truth"
     dataset = dataset_of(tmp_path / "e", {"wrist": poses()}, has_truth=True)
     assert why_not(dataset, source="truth") == "truth/reach is missing"
     publish_truth(dataset)
