@@ -86,6 +86,8 @@ class SampleSettings:
         n_non_matches: per match; 0 for a loss that needs none.
         foreground_share: share of non-matches on the sampled instance; `auto` is the share of the image it covers.
         clearance: pixels around the true match from which no non-match is taken.
+        self_pairs: probability that both images of a pair are the same one, changed apart: its matches are exact, where
+            those of two views are as far off as the cameras' poses.
     """
 
     size: tuple[int, int]
@@ -94,6 +96,7 @@ class SampleSettings:
     n_non_matches: int = 150
     foreground_share: float | Literal["auto"] = "auto"
     clearance: float = 5.0
+    self_pairs: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -203,6 +206,8 @@ def _example(
     flipped = bool(rng.random() < augment.flip)
     # Pairs are listed in one order, but matches are looked for from either side.
     both = [(pair.rgb_a, pair.instance_a, pair.uv_a), (pair.rgb_b, pair.instance_b, pair.uv_b)][:: rng.choice([1, -1])]
+    if sample.self_pairs and rng.random() < sample.self_pairs:
+        both = [both[0], both[0]]
     a, b = (_placed(*image, anchor, flipped, sample.size, augment, rng) for image in both)
     visible = of_chosen & a.shows(chosen) & b.shows(chosen)
     if not visible.any():

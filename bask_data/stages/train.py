@@ -91,6 +91,13 @@ class TrainParams(Params):
     clearance: float = Field(
         5.0, ge=0, description="contrastive: no non-match is as close to the true match, pixels of the network's input."
     )
+    self_pairs: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="Probability that both images of a pair are the same one, changed apart: exact matches, where "
+        "those of two views are as far off as the poses.",
+    )
     learning_rate: float = Field(1e-3, gt=0, description="Adam's rate.")
     weight_decay: float = Field(1e-4, ge=0, description="Adam's weight decay.")
     schedule: Literal["cosine", "step"] = Field("cosine", description="How the rate falls.")
@@ -320,6 +327,7 @@ def _sample(params: TrainParams, size: tuple[int, int]) -> SampleSettings:
         n_non_matches=params.non_matches if params.loss == "contrastive" else 0,
         foreground_share="auto" if params.foreground_share is None else params.foreground_share,
         clearance=params.clearance,
+        self_pairs=params.self_pairs,
     )
 
 

@@ -190,6 +190,20 @@ def test_a_pair_is_of_one_instance_and_its_matches_are_the_given_ones():
     assert len(seen) > 1
 
 
+def test_some_pairs_are_an_image_with_itself_as_often_as_asked():
+    alone = replace(SAMPLE, n_pairs=1)
+
+    def is_one_image(step: int, share: float) -> bool:
+        batch = batch_of_step(ScenePairs(), 0, step, replace(alone, self_pairs=share), PLAIN)
+        same = bool((batch.rgb_a == batch.rgb_b).all())
+        assert same == bool((batch.uv_a == batch.uv_b).all())
+        return same
+
+    assert all(is_one_image(step, 1.0) for step in range(5))
+    assert not any(is_one_image(step, 0.0) for step in range(5))
+    assert 5 < sum(is_one_image(step, 0.5) for step in range(30)) < 25
+
+
 def pasted_share(rgb: np.ndarray, marker: int) -> float:
     return (rgb[..., 2] == marker).mean()
 

@@ -243,6 +243,7 @@ def test_options_reach_the_batches_and_the_loop():
         non_matches=12,
         foreground_share=0.3,
         clearance=4.0,
+        self_pairs=0.7,
         loss="contrastive",
         margin_foreground=0.3,
         margin_background=0.8,
@@ -280,7 +281,7 @@ def test_options_reach_the_batches_and_the_loop():
         noise=7.0,
         blur=1.5,
     )
-    assert train_module._sample(params, (8, 16)) == SampleSettings((8, 16), 6, 11, 12, 0.3, 4.0)
+    assert train_module._sample(params, (8, 16)) == SampleSettings((8, 16), 6, 11, 12, 0.3, 4.0, 0.7)
     assert train_module._settings(params, "cpu") == TrainingSettings(
         steps=100,
         seed=3,
