@@ -884,6 +884,14 @@ def evaluate_keypoints(
         str,
         typer.Option(help="Reference keypoints to track. [default: points spread over the objects]", metavar="VARIANT"),
     ] = "",
+    pick_in: Annotated[
+        str,
+        typer.Option(
+            help="Recordings to choose these points in, the first with the objects; a demonstration in the paper. "
+            "[default: scans that networks learn from]",
+            metavar="NAMES",
+        ),
+    ] = "",
     keypoints: Annotated[int, typer.Option(min=1, help="Number of points, shared among the objects.")] = 16,
     settings: Annotated[
         Literal["default", "paper", "code"],
@@ -914,6 +922,7 @@ def evaluate_keypoints(
             objects=_names(objects),
             cameras=_names(cameras),
             reference=reference,
+            pick_in=_names(pick_in),
             n_keypoints=keypoints,
             settings=settings,
             seed=seed,

@@ -202,6 +202,18 @@ def test_true_places_ride_on_their_objects(dataset: Dataset) -> None:
             np.testing.assert_allclose(places[t, i], transform(pose, on_object), atol=2e-3)
 
 
+def test_points_of_a_demonstration_stay_where_they_were_picked(dataset: Dataset) -> None:
+    picks = points_to_track(dataset, ["tin"], 3, "", 0, ["demo-b"], ["wrist"])
+    assert {pick.recording for pick in picks} == {"demo-b"}
+    truth = Truth(dataset.path(Truth, "demo-b"))
+    frame = picks[0].frame
+    places = true_tracks(dataset, picks, "demo-b")[frame]
+    uv, z = project(transform(invert_rigid(demonstration_camera(frame)), places), K)
+    np.testing.assert_allclose(uv, [[pick.u, pick.v] for pick in picks], atol=1e-6)
+    shown = [truth.depth("wrist", frame)[round(pick.v), round(pick.u)] for pick in picks]
+    np.testing.assert_allclose(z, shown, atol=1e-6)
+
+
 def test_a_point_of_a_round_object_is_where_its_neighbour_was_picked_beside(tmp_path: Path) -> None:
     names = {1: "pan", 2: ROUND[0]}
     dataset = described_dataset(tmp_path / "d", {"scan": boxes(0)}, names)
@@ -284,6 +296,7 @@ def test_what_is_studied_is_what_encode_makes(dataset: Dataset) -> None:
         ({"variants": ["none"]}, "--variant: expected one of main, blind"),
         ({"demonstrations": ["none"]}, r"--demonstrations: expected of those with true transforms \(demo-a, demo-b\)"),
         ({"objects": ["spoon"]}, "--objects: expected of the objects carton, tin, got spoon"),
+        ({"pick_in": ["none"]}, "--pick-in: expected of scan, demo-a, demo-b, got none"),
         ({"cameras": ["overhead"]}, "cameras: expected some of wrist, got overhead"),
     ],
 )
@@ -298,7 +311,10 @@ def test_without_truth_or_a_scan_to_pick_in_there_is_no_study(tmp_path: Path) ->
         evaluated_keypoints(dataset)
     publish_demonstration(dataset, "demo")
     dataset.set_splits(Splits(test=("scan",)))
-    with pytest.raises(UsageError, match="expected a scan with truth that shows carton, tin, to pick keypoints in"):
+    with pytest.raises(
+        UsageError,
+        match="expected a frame with truth that shows carton, tin, to pick keypoints in, got none in the scans",
+    ):
         evaluated_keypoints(dataset)
 
 

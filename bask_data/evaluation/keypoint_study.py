@@ -122,6 +122,7 @@ def evaluated_keypoints(
     objects: Sequence[str] = (),
     cameras: Sequence[str] = (),
     reference: str = "",
+    pick_in: Sequence[str] = (),
     n_keypoints: int = 16,
     settings: Named = "default",
     seed: int = 0,
@@ -135,6 +136,7 @@ def evaluated_keypoints(
         cameras: to track with; by default all of each demonstration.
         reference: variant of the reference keypoints to track; by default points spread over the objects in a scan that
             networks learn from.
+        pick_in: recordings to put these points in, rather than scans.
         settings: preset of the filters.
         seed: of the points, and of the particle filter.
 
@@ -149,7 +151,7 @@ def evaluated_keypoints(
     groups = by_objects(dataset, demonstrations_with_truth(dataset, demonstrations), objects)
     found: dict[str, Any] = {}
     for tracked_objects, names in groups.items():
-        picks = points_to_track(dataset, tracked_objects, n_keypoints, reference, seed)
+        picks = points_to_track(dataset, tracked_objects, n_keypoints, reference, seed, pick_in, cameras)
         with TemporaryDirectory(prefix="bask-data-") as folder:
             references = {
                 name: _references(dataset, network, picks, Path(folder) / name) for name, network in networks.items()

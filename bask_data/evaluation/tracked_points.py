@@ -105,35 +105,53 @@ def _objects_of(truth: Truth) -> tuple[str, ...]:
 # Choosing ------------------------------------------------------------------------------------------------------------
 
 
-def points_to_track(dataset: Dataset, objects: Sequence[str], n: int, reference: str, seed: int) -> list[Pick]:
-    """Points on these objects: the picks of a variant of `reference`, or else n of one frame of a scan, as equally many
-    on each object as can be and spread over it.
+def points_to_track(
+    dataset: Dataset,
+    objects: Sequence[str],
+    n: int,
+    reference: str,
+    seed: int,
+    pick_in: Sequence[str] = (),
+    cameras: Sequence[str] = (),
+) -> list[Pick]:
+    """Points on these objects: the picks of a variant of `reference`, or else n of one frame, as equally many on each
+    object as can be and spread over it.
+
+    Args:
+        pick_in: recordings, the first of which that shows all of the objects is picked in; by default scans that
+            networks learn from.
+        cameras: that are picked in, where the recording has one of them; by default all.
 
     Raises:
-        UsageError: no pick of the variant, or no scan that networks learn from, shows the objects.
+        UsageError: no pick of the variant is on the objects, no recording shows them, or is there.
     """
     if reference:
         return _picks_of(dataset, reference, objects)
     best: tuple[float, Whole, Camera, int] | None = None
-    for scene in learned_scenes(dataset):
-        one = whole(dataset, scene)
+    for name in pick_in:
+        if name not in dataset.items("recording"):
+            known_names = ", ".join(dataset.items("recording"))
+            raise UsageError(dataset.root, "--pick-in", expected=f"of {known_names}", got=name)
+    for recording in pick_in or learned_scenes(dataset):
+        one = whole(dataset, recording)
         if one is None or not {*objects} <= {*_objects_of(one.truth)}:
             continue
         labels = [label_of(one.truth, name, -1) for name in objects]
-        for camera in one.recording.cameras:
+        there = one.recording.cameras
+        for camera in [camera for camera in there if camera.name in cameras] or there:
             for i in range(0, camera.n_frames, max(camera.n_frames // N_LOOKED_AT, 1)):
                 n_least = _n_of_the_smallest(one.truth, camera, i, labels)
                 if best is None or n_least > best[0]:
                     best = n_least, one, camera, i
         if best is not None and best[0] > 0:
-            break  # One scan is enough, and a frame of it is what somebody would pick in.
+            break  # One recording is enough, and a frame of it is what somebody would pick in.
     if best is None or best[0] == 0:
         raise UsageError(
             dataset.root,
             "",
-            expected=f"a scan with truth that shows {', '.join(objects)}, to pick keypoints in",
-            got="none that networks learn from",
-            fix="give picks of your own: --reference VARIANT.",
+            expected=f"a frame with truth that shows {', '.join(objects)}, to pick keypoints in",
+            got=f"none in {', '.join(pick_in) or 'the scans that networks learn from'}",
+            fix="name another recording, --pick-in NAME, or give picks of your own, --reference VARIANT.",
         )
     return _spread_picks(objects, *best[1:], n, seed)
 
@@ -190,7 +208,7 @@ def true_tracks(dataset: Dataset, picks: Sequence[Pick], demonstration: str) -> 
     """Where picked points are in each frame of a demonstration (t, k, 3), metres, world; NaN where that is not known.
 
     A point of a round object cannot be told by the object alone. Which of its points is meant is said by what the
-    object touches in the scan and in the demonstration's first frame: the one at the same place of that.
+    object touches in the first frames of both recordings: the one at the same place of that.
     """
     recordings, here = known_of(dataset, picks, demonstration), whole(dataset, demonstration)
     assert here is not None, "asked only where there is truth"
