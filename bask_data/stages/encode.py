@@ -69,20 +69,27 @@ class EncodeParams(Params):
         "Default: from each image, twice the likelihood of its average pixel.",
     )
     n_particles: int | None = Field(None, ge=10, description="Particles of each keypoint. Default: 2000.")
+    tau_match: float | None = Field(
+        None,
+        ge=0,
+        le=1,
+        description="Particle: without tau, at least this share of how well the track has matched. Default: 0.01; "
+        "descriptors whose distances are all alike want 0.1 to 0.25.",
+    )
     walk: float | None = Field(
         None, ge=0, description="Particle: random walk in one frame and along each axis, metres. Default: 0.002."
     )
     walk_px: float | None = Field(
         None, ge=0, description="Discrete: random walk in one frame, pixels of the distance map. Default: 1."
     )
-    cell: int | None = Field(
-        None, ge=1, description="Discrete: edge of a cell of the belief, pixels of the distance map. Default: 1."
+    grid: tuple[int, ...] = Field(
+        (), description="Discrete: rows and columns of the belief, by a comma. Default: those of the distance map."
     )
     gripper_probability: float | None = Field(
         None,
         ge=0,
         le=1,
-        description="Particle: probability that a particle near the gripper moves with it. Default: 0.5.",
+        description="Particle: probability that a particle near the gripper moves with it. Default: 0.2.",
     )
     gripper_reach: float | None = Field(
         None,
@@ -152,8 +159,11 @@ def settings_of(params: EncodeParams) -> Settings:
     """The settings of the chosen filter; those of the others do not matter."""
     from bask_data.core.bayes_filter import settings_named
 
+    if params.grid and (len(params.grid) != 2 or min(params.grid) < 1):
+        raise UsageError("encode", "grid", expected="rows and columns", got=",".join(map(str, params.grid)))
     names = asdict(settings_named(params.filter, params.settings))
-    chosen = {name: value for name, value in params.model_dump().items() if name in names}
+    given = {**params.model_dump(), "grid": params.grid or None}
+    chosen = {name: value for name, value in given.items() if name in names}
     return settings_named(params.filter, params.settings, **chosen)
 
 

@@ -11,6 +11,7 @@ from bask_data.artifact import read_manifest
 from bask_data.core.bayes_filter import DiscreteSettings, ParticleSettings
 from bask_data.core.geometry import project
 from bask_data.dataset import Dataset
+from bask_data.errors import UsageError
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Robot, Truth, arrays
 from bask_data.kinds.truth import TruthMetadata
 from bask_data.stage import make, plan, state_of
@@ -135,10 +136,14 @@ def test_frames_that_are_dropped_cost_the_particle_filter_little(tmp_path: Path,
 
 def test_settings_have_names_and_options_go_before_them() -> None:
     assert settings_of(EncodeParams()) == ParticleSettings()
-    code = settings_of(EncodeParams(settings="code", walk=0.5, cell=3))
+    code = settings_of(EncodeParams(settings="code", walk=0.5, grid=(3, 4)))
     assert isinstance(code, ParticleSettings)
     assert (code.n_particles, code.walk) == (250, 0.5)
-    assert settings_of(EncodeParams(filter="discrete", cell=3, n_particles=10)) == DiscreteSettings(cell=3)
+    discrete = settings_of(EncodeParams(filter="discrete", grid=(3, 4), walk_px=2.0, n_particles=10))
+    assert discrete == DiscreteSettings(grid=(3, 4), walk_px=2.0)
+    for grid in ((3,), (3, 0), (1, 2, 3)):
+        with pytest.raises(UsageError, match="grid: expected rows and columns, got 3|1,2,3"):
+            settings_of(EncodeParams(grid=grid))
 
 
 def test_what_a_track_depends_on_is_never_served_stale(tmp_path: Path) -> None:
@@ -151,9 +156,16 @@ def test_what_a_track_depends_on_is_never_served_stale(tmp_path: Path) -> None:
         return found.status, found.why
 
     assert state() == ("up to date", "")
-    others = {"filter": "discrete", "settings": "code", "cameras": ("wrist",), "alpha": 5.0, "tau": 0.1, "cell": 2}
+    others = {
+        "filter": "discrete",
+        "settings": "code",
+        "cameras": ("wrist",),
+        "alpha": 5.0,
+        "tau": 0.1,
+        "tau_match": 0.2,
+    }
     others |= {"n_particles": 100, "walk": 0.1, "walk_px": 2.0, "gripper_probability": 0.1, "gripper_reach": 1.0}
-    others |= {"dropout": 0.1, "seed": 5}
+    others |= {"dropout": 0.1, "seed": 5, "grid": (4, 4)}
     assert {*others, "source"} == {*EncodeParams.model_fields}
     for name, value in others.items():
         assert state(**{name: value})[1].startswith(f"changed: {name} "), name
