@@ -8,7 +8,7 @@ what leaves the image is outside, and comes back where the camera uncovers somet
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -44,8 +44,8 @@ class DiscreteSettings:
     """Temperature: a pixel at distance z has likelihood exp(-alpha z)."""
     walk_px: float = 1.0
     """Standard deviation of the random walk in one frame, pixels of the distance map."""
-    cell: int = 1
-    """Edge of a cell of the belief, pixels of the distance map."""
+    grid: tuple[int, int] | None = None
+    """Rows and columns of the belief, whatever the distance map has; None: as many as that."""
     tau: float | None = None
     """Likelihood of any image if the keypoint is outside of it; None: `unseen_likelihood` says it of each image."""
     tau_ratio: float = 2.0
@@ -59,13 +59,18 @@ class DiscreteSettings:
 
 @dataclass(frozen=True)
 class CameraBelief:
-    """Belief in one camera's pixel space, and the view it belongs to. `inside` and `outside` sum to one."""
+    """Belief in one camera's pixel space, and the view it belongs to. `inside` and `outside` sum to one.
+
+    Attributes:
+        cell: width and height of a cell, pixels of the distance map.
+    """
 
     inside: Float[ndarray, "k h w"]
     outside: Float[ndarray, "k"]
     depth: Float[ndarray, "h w"]
     K: Float[ndarray, "3 3"]
     world_from_camera: Float[ndarray, "4 4"]
+    cell: Float[ndarray, "2"] = field(default_factory=lambda: np.ones(2))
 
 
 @dataclass(frozen=True)
@@ -153,12 +158,14 @@ def predict(belief: CameraBelief, seen: Observation, settings: DiscreteSettings)
         outside = outside * (1 - back)
     if settings.walk_px > 0:
         before = inside.sum(axis=(1, 2))
-        sigma = settings.walk_px / settings.cell
-        inside = np.stack([cv2.GaussianBlur(one, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT) for one in inside])
+        u, v = (settings.walk_px / belief.cell).tolist()
+        inside = np.stack(
+            [cv2.GaussianBlur(one, (0, 0), u, sigmaY=v, borderType=cv2.BORDER_CONSTANT) for one in inside]
+        )
         outside = outside + np.maximum(before - inside.sum(axis=(1, 2)), 0.0)
     inside = (1 - settings.restart) * inside + settings.restart / (height * width)
     outside = (1 - settings.restart) * outside
-    return CameraBelief(inside, outside, seen.depth, seen.K, seen.world_from_camera)
+    return CameraBelief(inside, outside, seen.depth, seen.K, seen.world_from_camera, belief.cell)
 
 
 def carry(belief: CameraBelief, seen: Observation) -> csr_array:
@@ -216,15 +223,18 @@ def update(
 def _uniform(seen: Observation, shape: tuple[int, ...]) -> CameraBelief:
     k, height, width = shape
     uniform = np.full((k, height, width), 1.0 / (height * width))
-    return CameraBelief(uniform, np.zeros(k), seen.depth, seen.K, seen.world_from_camera)
+    cell = np.array([seen.distance.shape[2] / width, seen.distance.shape[1] / height])
+    return CameraBelief(uniform, np.zeros(k), seen.depth, seen.K, seen.world_from_camera, cell)
 
 
 def _on_grid(seen: Observation, settings: DiscreteSettings) -> tuple[Observation, Float[ndarray, "k h w"]]:
     """Depth and intrinsics at the resolution of the belief, and the mean likelihood exp(-alpha z) of each cell."""
     likelihood = np.exp(-settings.alpha * seen.distance, dtype=np.float64)
-    if settings.cell > 1:
-        height, width = (-(-n // settings.cell) for n in seen.distance.shape[1:])
-        likelihood = np.stack([cv2.resize(one, (width, height), interpolation=cv2.INTER_AREA) for one in likelihood])
+    if settings.grid is not None and settings.grid != likelihood.shape[1:]:
+        height, width = settings.grid
+        shrinks = height <= likelihood.shape[1] and width <= likelihood.shape[2]
+        how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        likelihood = np.stack([cv2.resize(one, (width, height), interpolation=how) for one in likelihood])
     size, grid = seen.depth.shape, likelihood.shape[1:]
     if size != grid:
         seen = replace(seen, depth=shrink_depth(seen.depth, grid), K=scale_intrinsics(seen.K, size, grid))

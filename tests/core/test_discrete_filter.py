@@ -3,7 +3,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bask_data.core.discrete_filter import CameraBelief, DiscreteSettings, carry, discrete_step, predict
@@ -64,33 +64,43 @@ def transition_by_hand(before: Observation, now: Observation, settings: Discrete
     return restart @ walk @ reveal @ warp
 
 
-def test_the_posterior_is_the_sum_over_all_paths() -> None:
-    rng = np.random.default_rng(3)
-    settings = DiscreteSettings(alpha=3.0, walk_px=0.6, tau=0.2, outside_area=0.7, restart=0.05)
-    cameras = [camera_at(), camera_at(0.1, 0.05), camera_at(0.3, 0.05, 0.1), camera_at(0.1, 0.0, 0.0, 0.2)]
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(2, 4), st.integers(2, 3), st.booleans())
+def test_the_posterior_is_the_sum_over_all_paths(seed: int, height: int, width: int, is_fixed: bool) -> None:
+    """Any motions, any small grid, tau given or not; one path for each state of each of three frames."""
+    rng = np.random.default_rng(seed)
+    chosen = DiscreteSettings(
+        alpha=float(rng.uniform(0.5, 6)),
+        walk_px=float(rng.uniform(0.3, 1.5)),
+        tau=float(rng.uniform(0.01, 0.5)) if is_fixed else None,
+        outside_area=float(rng.uniform(0.3, 2)),
+        restart=float(rng.uniform(0, 0.1)),
+    )
+    cameras = [camera_at(*rng.uniform(-0.2, 0.2, 3), rng.uniform(-0.3, 0.3)) for _ in range(3)]
     frames = [
         Observation(
-            rng.uniform(0, 1, (2, 3, 3)).astype(np.float32),
-            rng.uniform(0.8, 1.2, (3, 3)).astype(np.float32),
+            rng.uniform(0, 1, (2, height, width)).astype(np.float32),
+            rng.uniform(0.8, 1.2, (height, width)).astype(np.float32),
             SMALL_K,
             camera,
         )
         for camera in cameras
     ]
-    likelihoods = [
-        np.concatenate([np.exp(-3.0 * f.distance.astype(np.float64)).reshape(2, -1), np.full((2, 1), 0.2)], axis=1)
-        for f in frames
-    ]
-    transitions = [transition_by_hand(a, b, settings) for a, b in itertools.pairwise(frames)]
+    n = height * width
+    likelihoods = []
+    for frame in frames:
+        likelihood = np.exp(-chosen.alpha * frame.distance.astype(np.float64)).reshape(2, -1)
+        some = np.exp(-chosen.alpha * frame.distance[:, ::2, ::2].astype(np.float64)).mean(axis=(1, 2))
+        tau = np.minimum(2 * some, 0.3) if chosen.tau is None else np.full(2, chosen.tau)
+        likelihoods.append(np.concatenate([likelihood, tau[:, None]], axis=1))
+    transitions = [transition_by_hand(a, b, chosen) for a, b in itertools.pairwise(frames)]
     for transition in transitions:
         np.testing.assert_allclose(transition.sum(axis=0), 1.0)
 
-    posterior = np.zeros((2, 10))
-    for path in itertools.product(range(10), repeat=4):
-        if path[0] == 9:
-            continue
-        p = 1 / 9 * likelihoods[0][:, path[0]]
-        for t in range(3):
+    posterior = np.zeros((2, n + 1))
+    for path in itertools.product(range(n), range(n + 1), range(n + 1)):
+        p = 1 / n * likelihoods[0][:, path[0]]
+        for t in range(2):
             p = p * transitions[t][path[t + 1], path[t]] * likelihoods[t + 1][:, path[t + 1]]
         posterior[:, path[-1]] += p
     evidence = posterior.sum(axis=1)
@@ -98,7 +108,7 @@ def test_the_posterior_is_the_sum_over_all_paths() -> None:
 
     belief, log_evidence = None, np.zeros(2)
     for frame in frames:
-        belief, estimate = discrete_step(belief, [frame], settings=settings)
+        belief, estimate = discrete_step(belief, [frame], settings=chosen)
         log_evidence += estimate.log_evidence
     got = np.concatenate([belief.cameras[0].inside.reshape(2, -1), belief.cameras[0].outside[:, None]], axis=1)
     np.testing.assert_allclose(got, posterior, atol=1e-6)
@@ -227,15 +237,29 @@ def test_what_was_seen_before_tells_a_keypoint_from_its_twin() -> None:
     assert np.linalg.norm(estimate.mean[0] - [0, 0, 1]) < 0.05
 
 
-def test_coarse_cells_give_the_same_place() -> None:
+def test_a_grid_of_any_size_gives_the_same_place() -> None:
     means = []
-    for cell in (1, 3):
+    for grid in (None, (14, 20), (17, 60), (40, 25), (50, 70)):
         belief = None
-        for _ in range(6):
-            belief, estimate = discrete_step(belief, [pan(0.1)], settings=DiscreteSettings(cell=cell))
+        for seen in [pan(0.1)] * 3 + [pan(0.15), None, pan(0.1)]:
+            belief, estimate = discrete_step(belief, [seen], settings=DiscreteSettings(grid=grid))
         means.append(estimate.mean[0])
-        assert belief.cameras[0].inside.shape == (1, -(-40 // cell), -(-60 // cell))
-    np.testing.assert_allclose(means[0], means[1], atol=0.01)
+        assert belief.cameras[0].inside.shape == (1, *(grid or (40, 60)))
+        np.testing.assert_allclose(belief.cameras[0].inside.sum() + belief.cameras[0].outside, 1.0)
+    np.testing.assert_allclose(means, means[:1] * 5, atol=0.012)
+
+
+def test_the_walk_is_as_wide_on_any_grid() -> None:
+    """In pixels of the distance map, while no frame comes, too."""
+    distance = flat(height=60, width=60)
+    distance[0, 28:32, 28:32] = 0
+    walk = DiscreteSettings(walk_px=6.0, restart=0.0, alpha=20.0, grid=(15, 30))
+    belief, _ = discrete_step(None, [view(distance, np.eye(4))], settings=walk)
+    after, _ = discrete_step(belief, [None], settings=walk)
+    inside = after.cameras[0].inside[0]
+    for axis, n, cell in ((0, 30, 2), (1, 15, 4)):
+        place = (np.arange(n) + 0.5) * cell - 30
+        np.testing.assert_allclose(np.sqrt(inside.sum(axis=axis) @ place**2 / inside.sum()), 6.0, rtol=0.1)
 
 
 def test_permuting_keypoints_permutes_everything() -> None:
