@@ -6,6 +6,7 @@ import json
 import struct
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,28 +28,35 @@ def recordings(tmp_path_factory):
     return recordings_of(pickable_dataset(tmp_path_factory.mktemp("server") / "d"))
 
 
-@pytest.fixture
-def served(recordings, tmp_path) -> Iterator[Served]:
+SAVED: list[tuple[Mark, ...]] = []
+
+
+def save(marks: tuple[Mark, ...]) -> tuple[str, str]:
+    if marks[0].name == "broken":
+        raise UsageError("reference", "picks", expected="better ones", got="these")
+    SAVED.append(marks)
+    return f"{len(marks)} saved", "bask-data encode"
+
+
+def new_desk(recordings, folder: Path) -> Desk:
     proposed = Mark(name="object_1_0", recording="a", camera="wrist", frame=0, u=5.0, v=6.0)
-    saved = []
+    gallery, draft = Gallery(recordings, untrained()), Draft(folder / "picks.json")
+    return Desk(gallery, draft, propose=lambda scene, n: [proposed] * n, save=save, title="table")
 
-    def save(marks):
-        if marks[0].name == "broken":
-            raise UsageError("reference", "picks", expected="better ones", got="these")
-        saved.append(marks)
-        return f"{len(marks)} saved", "bask-data encode"
 
-    desk = Desk(
-        Gallery(recordings, untrained()),
-        Draft(tmp_path / "picks.json"),
-        propose=lambda scene, n: [proposed] * n,
-        save=save,
-        title="table",
-    )
-    server = Served(desk)
-    server.saved = saved  # type: ignore[attr-defined]
+@pytest.fixture(scope="module")
+def standing(recordings, tmp_path_factory) -> Iterator[Served]:
+    server = Served(new_desk(recordings, tmp_path_factory.mktemp("draft")))
     yield server
     server.end()
+
+
+@pytest.fixture
+def served(standing, recordings, tmp_path) -> Served:
+    """A server with a new desk; to start one for each test would take most of the time."""
+    standing.desk.__dict__.update(new_desk(recordings, tmp_path).__dict__)
+    SAVED.clear()
+    return standing
 
 
 AT = {"frame": ["a", "wrist", 0], "u": 40.0, "v": 50.0}
@@ -70,8 +78,12 @@ def test_the_page_brings_all_it_needs_and_forbids_the_rest(served) -> None:
     assert "Server" not in served.headers
 
 
-def test_two_servers_have_two_tokens(served) -> None:
+def test_each_start_has_its_own_long_token(served, recordings, tmp_path) -> None:
+    other = Served(new_desk(recordings, tmp_path))
+    other.end()
     assert len(served.token) >= 32
+    assert other.token != served.token
+    assert served.request("GET", f"/?token={other.token}")[0] == 403
 
 
 HOSTILE = {
@@ -312,7 +324,7 @@ def test_saving_says_what_it_made_and_a_change_after_it_is_unsaved(served) -> No
     served.told("edit", do="add", at=AT)
     found = served.told("save")
     assert (found["told"], found["next"], found["is_saved"]) == ("1 saved", "bask-data encode", True)
-    assert [len(marks) for marks in served.saved] == [1]
+    assert [len(marks) for marks in SAVED] == [1]
     assert served.told("edit", do="add", at=AT)["is_saved"] is False
     assert served.told("edit", do="undo")["is_saved"] is True
 
