@@ -1,4 +1,4 @@
-"""Named sets of parameters: what published descriptor networks were trained with, and the default for a laptop.
+"""Named sets of parameters: how published keypoints were learned and tracked, and the default for a laptop.
 
 A preset sets the fields below, and no others. Where the paper of Bayesian scene keypoints (von Hartz et al. 2023, cited
 by section) leaves a setting open, that of its public code is taken; docs/presets.md has them side by side.
@@ -55,6 +55,7 @@ PRESETS: dict[PresetName, dict[str, dict[str, Any]]] = {
             "rotation_deg": 180.0,
             "composition": 0.0,
         },
+        "encode": {"filter": "particle", "settings": "paper"},
     },
     # Squares the hinge of the distance and divides by the hard negatives; crops are resized back, nothing is turned,
     # and three of ten pairs have a further object pasted in.
@@ -68,6 +69,7 @@ PRESETS: dict[PresetName, dict[str, dict[str, Any]]] = {
             "rotation_deg": 0.0,
             "composition": 0.3,
         },
+        "encode": {"filter": "particle", "settings": "code"},
     },
     # The base DON: ResNet-34 and 16 dimensions (Florence et al. 2019), trained as the code of their first paper does.
     "florence": {
@@ -90,6 +92,8 @@ PRESETS: dict[PresetName, dict[str, dict[str, Any]]] = {
             "steps": 3500,
             "decay_every": 250,
         },
+        # Each frame by itself.
+        "encode": {"filter": "expectation", "settings": "default"},
     },
 }
 

@@ -8,6 +8,7 @@ from bask_data.config import load_config
 from bask_data.pipeline import STAGES
 from bask_data.presets import NAMES, PRESETS, PresetName, preset
 from bask_data.stage import resolve
+from bask_data.stages.encode import encode
 from bask_data.stages.train import TrainParams, train
 
 
@@ -20,8 +21,9 @@ def test_a_preset_is_made_of_parameters_that_there_are(name: PresetName) -> None
 
 
 def test_all_presets_set_the_same_fields_so_that_none_leaves_a_trace_of_another(tmp_path: Path) -> None:
-    fields = [set(preset(name, STAGES)["train"]) for name in NAMES]
-    assert all(one == fields[0] for one in fields)
+    for section in ("train", "encode"):
+        fields = [set(preset(name, STAGES)[section]) for name in NAMES]
+        assert all(one == fields[0] for one in fields)
     file = tmp_path / "params.yaml"
     file.write_text("train: {backbone: resnet50, steps: 7, seed: 5}\n")
     params = resolve(train, load_config(file, [], STAGES, "tabletop"), "", "main", {})
@@ -41,6 +43,16 @@ def test_a_preset_goes_over_what_the_file_says_of_one_variant(tmp_path: Path) ->
     file.write_text("train@v2: {descriptor_dim: 9, seed: 4}\n")
     params = resolve(train, load_config(file, [], STAGES, "florence"), "", "v2", {})
     assert (params.descriptor_dim, params.seed) == (16, 4)
+
+
+def test_presets_tell_the_filters_of_the_paper_and_of_its_code() -> None:
+    told = [resolve(encode, load_config(None, [], STAGES, name), "", "main", {}) for name in NAMES]
+    assert [(params.filter, params.settings) for params in told] == [
+        ("particle", "default"),
+        ("particle", "paper"),
+        ("particle", "code"),
+        ("expectation", "default"),
+    ]
 
 
 def test_presets_tell_the_networks_of_the_papers() -> None:
