@@ -129,9 +129,9 @@ def _camera_step(
 def _lifted(belief: CameraBelief, log_evidence: Float[ndarray, "k"], image: tuple[int, ...]) -> Lifted:
     """A camera's belief in 3D, pixels as in an image of that size; NaN for a keypoint that is rather outside."""
     inside = belief.inside.sum(axis=(1, 2))
-    share = np.where(inside > 0, inside, 1.0)[:, None, None]
-    view = Observation(belief.inside, belief.depth, belief.K, belief.world_from_camera)
-    one = lift(np.where(inside[:, None, None] > 0, belief.inside, 1.0) / share, view, log_evidence)
+    is_empty = (inside <= 0)[:, None, None]
+    heat = np.where(is_empty, 1.0, belief.inside) / np.where(is_empty, belief.depth.size, inside[:, None, None])
+    one = lift(heat, Observation(heat, belief.depth, belief.K, belief.world_from_camera), log_evidence)
     gone = (belief.outside > 0.5)[:, None]
     return replace(
         one,

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 from hypothesis import given, settings
@@ -282,3 +283,19 @@ def test_two_cameras_agree_on_one_place() -> None:
     assert len(belief.cameras) == 2
     assert np.linalg.norm(estimate.mean[0] - [0, 0, 1]) < 0.02
     assert estimate.pixel.shape == (2, 1, 2)
+
+
+def test_a_keypoint_with_no_probability_left_in_the_image_is_outside() -> None:
+    """Without a restart it may all have left, or have become too small for a number; it then keeps its last place."""
+    chosen = DiscreteSettings(tau=0.1, restart=0.0)
+    distance = np.array([[[0.9, 0.1, 0.8], [0.9, 0.7, 0.8], [0.9, 0.9, 0.8]]], dtype=np.float32)
+    seen = Observation(distance, np.ones((3, 3), dtype=np.float32), SMALL_K, camera_at())
+    belief, first = discrete_step(None, [seen], settings=chosen)
+    camera = belief.cameras[0]
+    assert camera is not None
+    left = replace(belief, cameras=(replace(camera, inside=0 * camera.inside, outside=np.ones(1)),))
+    after, estimate = discrete_step(left, [seen], settings=chosen)
+    assert after.cameras[0] is not None
+    np.testing.assert_array_equal(after.cameras[0].outside, 1.0)
+    np.testing.assert_allclose(estimate.log_evidence, np.log(0.1))
+    np.testing.assert_array_equal(estimate.mean, first.mean)
