@@ -1,8 +1,4 @@
-"""The particle filter of `core.particle_filter` on tensors, on a CPU or a CUDA device.
-
-Step by step the same, with the same random numbers, drawn by NumPy: given the same belief, observations and generator,
-both give the same to rounding. Everything but the distance maps is float64.
-"""
+"""The particle filter of `core.particle_filter` on tensors, with the same random numbers, drawn by NumPy."""
 
 from __future__ import annotations
 
@@ -16,7 +12,7 @@ from jaxtyping import Bool, Float, Float64, Int
 from numpy.random import Generator
 from torch import Tensor
 
-from bask_data.core.heatmap import TAU_MOST, TAU_STRIDE, Motion, Observation, shrink_depth
+from bask_data.core.heatmap import TAU_MOST, Motion
 from bask_data.core.particle_filter import (
     DRAW_BLOCK,
     FOUND,
@@ -30,21 +26,20 @@ from bask_data.core.particle_filter import (
     ParticleBelief,
     ParticleSettings,
 )
+from bask_data.nn.filters.frames import (
+    TensorEstimate,
+    TensorObservation,
+    n_keypoints,
+    nothing_known,
+    projections,
+    transform,
+    unproject,
+    unseen_likelihood,
+)
 
 
 @dataclass(frozen=True)
-class TensorObservation:
-    """An `Observation` on a device; `map_depth` is its depth at the resolution of the maps."""
-
-    distance: Float[Tensor, "k hz wz"]
-    depth: Float64[Tensor, "h w"]
-    map_depth: Float64[Tensor, "hz wz"]
-    K: Float64[Tensor, "3 3"]
-    world_from_camera: Float64[Tensor, "4 4"]
-
-
-@dataclass(frozen=True)
-class TensorBelief:
+class TensorParticleBelief:
     """A `ParticleBelief` on a device, field by field."""
 
     points_world: Float64[Tensor, "k n 3"]
@@ -53,18 +48,6 @@ class TensorBelief:
     lookalikes: Float64[Tensor, "k m 3"]
     lookalike_match: Float64[Tensor, "k m"]
     usual_match: Float64[Tensor, "k"]
-
-
-@dataclass(frozen=True)
-class TensorEstimate:
-    """An `Estimate` on a device, without its pixels."""
-
-    mean: Float64[Tensor, "k 3"]
-    covariance: Float64[Tensor, "k 3 3"]
-    mode: Float64[Tensor, "k 3"]
-    n_eff: Float64[Tensor, "k"]
-    log_evidence: Float64[Tensor, "k"]
-    observed: Bool[Tensor, "c k"]
 
 
 @dataclass(frozen=True)
@@ -94,48 +77,33 @@ class _Dice:
         return torch.from_numpy(self.rng.integers(below, size=shape)).to(self.device)
 
 
-def observation_on(seen: Observation, device: torch.device | str = "cpu") -> TensorObservation:
-    """A camera's frame on a device."""
-    map_depth = shrink_depth(seen.depth, (seen.distance.shape[1], seen.distance.shape[2]))
-    return TensorObservation(
-        distance=torch.as_tensor(seen.distance, device=device),
-        depth=torch.as_tensor(seen.depth, device=device).double(),
-        map_depth=torch.as_tensor(map_depth, device=device).double(),
-        K=torch.as_tensor(seen.K, device=device).double(),
-        world_from_camera=torch.as_tensor(seen.world_from_camera, device=device).double(),
-    )
-
-
-def belief_on(belief: ParticleBelief, device: torch.device | str = "cpu") -> TensorBelief:
+def particle_belief_on(belief: ParticleBelief, device: torch.device | str = "cpu") -> TensorParticleBelief:
     """A belief on a device."""
-    return TensorBelief(
+    return TensorParticleBelief(
         **{one.name: torch.as_tensor(getattr(belief, one.name), device=device) for one in fields(belief)}
     )
 
 
-def belief_from(belief: TensorBelief) -> ParticleBelief:
+def particle_belief_from(belief: TensorParticleBelief) -> ParticleBelief:
     """A belief back from its device."""
     return ParticleBelief(**{one.name: getattr(belief, one.name).cpu().numpy() for one in fields(belief)})
 
 
 def particle_step(
-    belief: TensorBelief | None,
+    belief: TensorParticleBelief | None,
     observations: Sequence[TensorObservation | None],
     motion: Motion | None,
     rng: Generator,
     settings: ParticleSettings,
-) -> tuple[TensorBelief, TensorEstimate]:
-    """Belief and estimate after one more frame: `core.particle_filter.particle_step` on tensors.
-
-    Raises:
-        ValueError: there is no belief, and no camera has measured any depth.
-    """
+) -> tuple[TensorParticleBelief | None, TensorEstimate]:
+    """Belief and estimate after one more frame: `core.particle_filter.particle_step` on tensors."""
     given = [seen for seen in observations if seen is not None]
     if belief is None:
+        device = given[0].depth.device if given else torch.device("cpu")
         usable = [i for i, seen in enumerate(given) if bool((seen.depth > 0).any())]
         if not usable:
-            raise ValueError("the first particles are drawn from measured depth, and no camera has any")
-        belief, looks, log_evidence = _first_particles(given, usable, _Dice(rng, given[0].depth.device), settings)
+            return None, nothing_known(len(observations), n_keypoints(observations), device)
+        belief, looks, log_evidence = _first_particles(given, usable, _Dice(rng, device), settings)
     else:
         belief = _moved(belief, motion, _Dice(rng, belief.weight.device), settings)
         looks = [_look(belief.points_world, seen, settings, belief.usual_match) for seen in given]
@@ -148,7 +116,9 @@ def particle_step(
     return _refreshed(belief, estimate, looks, given, _Dice(rng, belief.weight.device), settings), estimate
 
 
-def _moved(belief: TensorBelief, motion: Motion | None, dice: _Dice, settings: ParticleSettings) -> TensorBelief:
+def _moved(
+    belief: TensorParticleBelief, motion: Motion | None, dice: _Dice, settings: ParticleSettings
+) -> TensorParticleBelief:
     points = belief.points_world
     n = points.shape[1]
     walked = points + settings.walk * dice.normal(n, 3)
@@ -195,11 +165,8 @@ def _look(
 def _tau(
     seen: TensorObservation, settings: ParticleSettings, usual_match: Float64[Tensor, "k"] | None
 ) -> Float64[Tensor, "k"]:
-    if settings.tau is not None:
-        return torch.full((len(seen.distance),), settings.tau, dtype=torch.float64, device=seen.depth.device)
-    mean = (-settings.alpha * seen.distance[:, ::TAU_STRIDE, ::TAU_STRIDE]).exp().mean(dim=(1, 2)).double()
-    tau = (settings.tau_ratio * mean).clamp(float(np.finfo(np.float32).tiny), TAU_MOST)
-    if usual_match is None:
+    tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
+    if usual_match is None or settings.tau is not None:
         return tau
     return torch.maximum(tau, (settings.tau_match * usual_match).clamp(max=TAU_MOST))
 
@@ -222,7 +189,7 @@ def _sampled(
 
 def _first_particles(
     observations: Sequence[TensorObservation], usable: Sequence[int], dice: _Dice, settings: ParticleSettings
-) -> tuple[TensorBelief, list[_Look], Float64[Tensor, "k"]]:
+) -> tuple[TensorParticleBelief, list[_Look], Float64[Tensor, "k"]]:
     n, m = settings.n_particles, settings.n_lookalikes
     owner = torch.from_numpy(np.sort(np.resize(usable, n))).to(dice.device)
     points = torch.cat([_drawn(observations[i], int((owner == i).sum()), dice, settings)[0] for i in usable], dim=1)
@@ -234,7 +201,7 @@ def _first_particles(
     own = [(-settings.alpha * observations[i].distance.double()).flatten(1) for i in usable]
     log_own = torch.stack([one.logsumexp(dim=1) - math.log(one.shape[1]) for one in own]).mean(dim=0)
     k, none = len(points), torch.zeros_like(weight)
-    belief = TensorBelief(
+    belief = TensorParticleBelief(
         points_world=points,
         weight=weight,
         held=none > 0,
@@ -265,23 +232,19 @@ def _drawn(
     cell = torch.stack([u[chosen], v[chosen]], dim=-1) + dice.offsets(n, 2)
     z_d = seen.map_depth[v[chosen], u[chosen]]
     z_d = z_d + dice.normal(n) * (settings.depth_noise * z_d + settings.depth_noise_floor)
-    pixel_u = (cell[..., 0] + 0.5) * (seen.depth.shape[1] / width) - 0.5
-    pixel_v = (cell[..., 1] + 0.5) * (seen.depth.shape[0] / height) - 0.5
-    y = (pixel_v - seen.K[1, 2]) / seen.K[1, 1]
-    x = (pixel_u - seen.K[0, 2] - seen.K[0, 1] * y) / seen.K[0, 0]
-    points_camera = torch.stack([x * z_d, y * z_d, z_d], dim=-1)
-    points = points_camera @ seen.world_from_camera[:3, :3].T + seen.world_from_camera[:3, 3]
+    scale = z_d.new_tensor([seen.depth.shape[1] / width, seen.depth.shape[0] / height])
+    points = transform(seen.world_from_camera, unproject((cell + 0.5) * scale - 0.5, z_d, seen.K))
     return points, (-settings.alpha * z.gather(1, chosen)).double().exp()
 
 
 def _refreshed(
-    belief: TensorBelief,
+    belief: TensorParticleBelief,
     estimate: TensorEstimate,
     looks: Sequence[_Look],
     observations: Sequence[TensorObservation],
     dice: _Dice,
     settings: ParticleSettings,
-) -> TensorBelief:
+) -> TensorParticleBelief:
     k, n = belief.weight.shape
     spread = dice.uniform(n)
     if settings.resampling == "systematic":
@@ -314,7 +277,9 @@ def _refreshed(
     return replace(belief, points_world=points, weight=weight / weight.sum(dim=1, keepdim=True), held=held)
 
 
-def _matched_now(belief: TensorBelief, looks: Sequence[_Look]) -> tuple[Float64[Tensor, "k"], Float64[Tensor, "k"]]:
+def _matched_now(
+    belief: TensorParticleBelief, looks: Sequence[_Look]
+) -> tuple[Float64[Tensor, "k"], Float64[Tensor, "k"]]:
     if not looks:
         return torch.zeros_like(belief.usual_match), torch.ones_like(belief.usual_match)
     matched, best = torch.stack([(belief.weight * one.seen).sum(dim=1) for one in looks]).max(dim=0)
@@ -322,12 +287,12 @@ def _matched_now(belief: TensorBelief, looks: Sequence[_Look]) -> tuple[Float64[
 
 
 def _with_lookalikes(
-    belief: TensorBelief,
+    belief: TensorParticleBelief,
     estimate: TensorEstimate,
     matched: Float64[Tensor, "k"],
     points: Float64[Tensor, "k n 3"],
     match: Float64[Tensor, "k n"],
-) -> TensorBelief:
+) -> TensorParticleBelief:
     spread = estimate.covariance.diagonal(dim1=1, dim2=2).sum(dim=1).sqrt()
     sure = (belief.usual_match > 0) & (spread < 0.5 * LOOKALIKE_RADIUS)
     far = (points - estimate.mean[:, None]).norm(dim=-1) > LOOKALIKE_RADIUS
@@ -343,7 +308,9 @@ def _with_lookalikes(
     )
 
 
-def _resampled(belief: TensorBelief, spread: Float64[Tensor, "n"], settings: ParticleSettings) -> TensorBelief:
+def _resampled(
+    belief: TensorParticleBelief, spread: Float64[Tensor, "n"], settings: ParticleSettings
+) -> TensorParticleBelief:
     k, n = belief.weight.shape
     few = 1.0 / belief.weight.square().sum(dim=1) < settings.resample_below * n
     chosen = torch.where(few[:, None], _stratified(belief.weight, spread), torch.arange(n, device=belief.weight.device))
@@ -365,7 +332,7 @@ def _normalised(log_weight: Float64[Tensor, "k n"]) -> tuple[Float64[Tensor, "k 
 
 
 def _estimate(
-    belief: TensorBelief,
+    belief: TensorParticleBelief,
     looks: Sequence[_Look],
     observations: Sequence[TensorObservation | None],
     log_evidence: Float64[Tensor, "k"],
@@ -383,6 +350,7 @@ def _estimate(
         mode=_mode(points, weight),
         n_eff=1.0 / weight.square().sum(dim=1),
         log_evidence=log_evidence,
+        pixel=projections(mean, observations),
         observed=observed,
     )
 
