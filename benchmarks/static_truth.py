@@ -45,6 +45,8 @@ TOLERANCE = 0.05
 SEEN_SHARE, GONE_SHARE = 0.3, 0.1
 SPACING = 4
 """Pixels between the positions that descriptors are compared at."""
+WALK = 0.01
+"""Metres a frame: colour, depth and poses of a Kinect at room scale do not agree to millimetres."""
 ALPHAS = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 FILTERS: tuple[Filter, ...] = ("expectation", "discrete", "particle")
 STEADY, RETURNED, AWAY = 5, 5, 10
@@ -217,7 +219,7 @@ def tracked(
     settings = (
         settings_named(name, alpha=sharper * alpha)
         if name == "expectation"
-        else settings_named(name, alpha=alpha, tau=tau)
+        else settings_named(name, alpha=alpha, tau=tau, **({"walk": WALK} if name == "particle" else {}))
     )
     belief, rng, means = None, np.random.default_rng(0), []
     for i in progress(range(camera.n_frames), f"tracking, {name}"):
