@@ -234,6 +234,19 @@ def test_a_point_of_a_round_object_is_where_its_neighbour_was_picked_beside(tmp_
     np.testing.assert_allclose(places[-1], last, atol=1e-6)
 
 
+def test_a_point_of_a_round_object_may_be_picked_after_that_was_carried_away(tmp_path: Path) -> None:
+    names = {1: "pan", 2: ROUND[0]}
+    dataset = described_dataset(tmp_path / "d", {"scan": boxes(0)}, names)
+    for name in ("one", "two"):
+        publish_demonstration(dataset, name, touching=[(1, 2)], names=names)
+    picked = [
+        pick.model_copy(update={"frame": N - 1}) for pick in points_to_track(dataset, [ROUND[0]], 3, "", 0, ["one"])
+    ]
+    places = true_tracks(dataset, picked, "one")
+    # Both began alike, so its place among what it stood on is its place on the object.
+    np.testing.assert_allclose(true_tracks(dataset, picked, "two"), places, atol=1e-6)
+
+
 def test_histograms_tell_matches_from_background(found: dict) -> None:
     counts = found["groups"]["carton+tin"]["distances"]["counts"]["main"]
     edges = np.array(found["groups"]["carton+tin"]["distances"]["edges"])

@@ -232,10 +232,8 @@ def _turned_with_neighbours(
         if neighbour_here not in poses_here or mine_here not in poses_here:
             continue
         poses = object_poses(there)
-        frame = min(pick.frame, len(poses[label]) - 1)
-        neighbour_from_mine = (
-            invert_rigid(poses[neighbour][min(frame, len(poses[neighbour]) - 1)]) @ poses[label][frame]
-        )
+        # Wherever it has been carried by the frame of the pick.
+        neighbour_from_mine = invert_rigid(poses[neighbour][0]) @ poses[label][0]
         mine_from_neighbour = invert_rigid(poses_here[mine_here][0]) @ poses_here[neighbour_here][0]
         placed[i] = transform(mine_from_neighbour @ neighbour_from_mine, placed[i])
     return replace(points, points_object=placed)
