@@ -108,6 +108,7 @@ class KeypointTracker:
         """Forget everything, as before the first frame."""
         self._rng = np.random.default_rng(self._seed)
         self._world_from_gripper: np.ndarray | None = None
+        self._sizes: dict[str, tuple[int, int]] = {}
         self.n_steps = 0
         """Steps done."""
         self.cameras = list(self._given)
@@ -129,7 +130,7 @@ class KeypointTracker:
 
         Args:
             images: by camera, (h, w, 3) uint8, red, green, blue.
-            depths: by camera, z-depth (h, w) metres, aligned with the image; 0 means no measurement.
+            depths: by camera, z-depth (h, w) metres, aligned with the image; 0, NaN and infinity mean no measurement.
             intrinsics: by camera, (3, 3), of the image; pixel (0, 0) is the centre of the top-left pixel.
             world_from_cameras: by camera, (4, 4); camera x right, y down, z forward.
             world_from_gripper: (4, 4), where it is known: what is held moves with it.
@@ -147,17 +148,22 @@ class KeypointTracker:
         world_from_cameras: Mapping[str, np.ndarray],
     ) -> Look:
         """The first half of a step, which needs the network but nothing of the frames before."""
+        # Copies: a robot may fill the same arrays again, and a belief remembers the frame before.
+        K = {name: np.array(intrinsics[name], dtype=np.float64) for name in images if name in intrinsics}
+        poses = {
+            name: np.array(world_from_cameras[name], dtype=np.float64) for name in images if name in world_from_cameras
+        }
         for name, image in images.items():
-            _check(name, image, depths.get(name), intrinsics.get(name), world_from_cameras.get(name))
+            _check(name, image, depths.get(name), K.get(name), poses.get(name))
         distances = self._distances(images)
         return Look(
             observations={
                 name: fitted(
                     Observation(
                         distance=distances[name],
-                        depth=depths[name],
-                        K=intrinsics[name],
-                        world_from_camera=world_from_cameras[name],
+                        depth=np.where(np.isfinite(depths[name]), depths[name], 0),
+                        K=K[name],
+                        world_from_camera=poses[name],
                     )
                 )
                 for name in sorted(images)
@@ -166,13 +172,24 @@ class KeypointTracker:
         )
 
     def update(self, look: Look, world_from_gripper: np.ndarray | None = None) -> Keypoints:
-        """The second half of a step, which needs the belief but not the network."""
+        """The second half of a step, which needs the belief but not the network.
+
+        Raises:
+            ValueError: the gripper's transform is none, or a camera's images have another size than before.
+        """
+        gripper = None if world_from_gripper is None else np.array(world_from_gripper, dtype=np.float64)
+        fault = "" if gripper is None else _fault(gripper)
+        if fault:
+            raise ValueError(f"world_from_gripper: expected a rigid transform (4, 4), got {fault}")
+        for name, size in look.sizes.items():
+            if self._sizes.setdefault(name, size) != size:
+                raise ValueError(f"camera {name}: image: expected {self._sizes[name]} as before, got {size}")
         self.cameras += [name for name in sorted(look.observations) if name not in self.cameras]
         self.observations = look.observations
         self.n_steps += 1
         seen = [look.observations.get(name) for name in self.cameras]
         self.belief, estimate = step(
-            self.belief, seen, self._moved(world_from_gripper), self._rng, self._settings, len(self.names)
+            self.belief, seen, self._moved(gripper), self._rng, self._settings, len(self.names)
         )
         pixel = {
             name: scale_pixels(estimate.pixel[i], one.depth.shape, look.sizes[name]) if one else estimate.pixel[i]
@@ -189,10 +206,11 @@ class KeypointTracker:
             observed={name: estimate.observed[i] for i, name in enumerate(self.cameras)},
         )
 
-    def save(self, file: Path) -> None:
+    def save(self, file: Path | str) -> None:
         """Write all that the next step depends on; a kill leaves the file as it was or as it becomes."""
         from safetensors.numpy import save_file
 
+        file = Path(file)
         arrays = to_arrays(self.belief)
         if self._world_from_gripper is not None:
             arrays["gripper"] = self._world_from_gripper
@@ -204,7 +222,7 @@ class KeypointTracker:
             os.fsync(handle.fileno())
         part.replace(file)
 
-    def load(self, file: Path) -> None:
+    def load(self, file: Path | str) -> None:
         """Go on from what `save` wrote, with the same network, references, settings and seed.
 
         Raises:
@@ -220,7 +238,8 @@ class KeypointTracker:
             self._rng.bit_generator.state = words["rng"]
             self.n_steps, self.cameras = int(words["n_steps"]), list(words["cameras"])
         except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
-            raise BadData(file, "", expected="a tracker's state", got=f"{type(error).__name__}: {error}") from error
+            got, fix = f"{type(error).__name__}: {error}", "take it away, and begin anew."
+            raise BadData(file, "", expected="a tracker's state", got=got, fix=fix) from error
         self._world_from_gripper = arrays.get("gripper")
         self.observations = {}
 
@@ -266,15 +285,22 @@ def _check(
     world_from_camera: np.ndarray | None,
 ) -> None:
     """Refuse what a filter would take without a word and be lost by."""
-    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
         raise ValueError(f"camera {name}: image: expected (h, w, 3) uint8, got {image.shape} {image.dtype}")
     if depth is None or depth.shape != image.shape[:2] or not np.issubdtype(depth.dtype, np.floating):
         got = "none" if depth is None else f"{depth.shape} {depth.dtype}"
         raise ValueError(f"camera {name}: depth: expected {image.shape[:2]} in metres, as the image, got {got}")
     if K is None or K.shape != (3, 3):
         raise ValueError(f"camera {name}: intrinsics: expected (3, 3), got {'none' if K is None else K.shape}")
-    fault = "none" if world_from_camera is None else f"{world_from_camera.shape}"
-    if world_from_camera is not None and world_from_camera.shape == (4, 4):
-        fault = rigid_fault(world_from_camera)
+    if not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
+        raise ValueError(
+            f"camera {name}: intrinsics: expected finite numbers and positive focal lengths, got {K.tolist()}"
+        )
+    fault = "none" if world_from_camera is None else _fault(world_from_camera)
     if fault:
         raise ValueError(f"camera {name}: world_from_camera: expected a rigid transform (4, 4), got {fault}")
+
+
+def _fault(transform: np.ndarray) -> str:
+    """Why this is no rigid transform, or nothing."""
+    return rigid_fault(transform) if transform.shape == (4, 4) else f"{transform.shape}"

@@ -12,7 +12,7 @@ from bask_data.core.bayes_filter import ParticleSettings, Settings, settings_nam
 from bask_data.errors import BadData
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Robot
 from bask_data.stages.encode import EncodeParams, dropped, encode
-from bask_data.tracker import Keypoints, KeypointTracker
+from bask_data.tracker import Keypoints, KeypointTracker, Look
 from tests.tracked import N_FRAMES, ColourNetwork, dataset_of, keypoints, poses, side_poses
 
 FILTERS = ("expectation", "discrete", "particle")
@@ -136,8 +136,11 @@ def test_the_package_offers_the_tracker_and_does_not_load_it_unasked() -> None:
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
-def test_a_camera_that_comes_later_is_taken_in(demonstration: Demonstration, reference: ReferenceKeypoints) -> None:
-    tracker = KeypointTracker(ColourNetwork(), reference)
+@pytest.mark.parametrize("filter", FILTERS)
+def test_a_camera_that_comes_later_is_taken_in(
+    demonstration: Demonstration, reference: ReferenceKeypoints, filter: str
+) -> None:
+    tracker = KeypointTracker(ColourNetwork(), reference, settings_named(filter))
     alone = stepped(tracker, demonstration, 0, ["wrist"])
     assert set(alone.pixel) == {"wrist"} and set(tracker.observations) == {"wrist"}
     for i_frame in (1, 2, 3):
@@ -147,7 +150,67 @@ def test_a_camera_that_comes_later_is_taken_in(demonstration: Demonstration, ref
     assert np.linalg.norm(both.mean - keypoints()[1], axis=1).max() < 0.02
     none = stepped(tracker, demonstration, 4, [])
     assert np.isnan(none.pixel["side"]).all() and not none.observed["wrist"].any()
-    assert np.linalg.norm(none.mean - keypoints()[1], axis=1).max() < 0.03
+    if filter != "expectation":
+        assert np.linalg.norm(none.mean - keypoints()[1], axis=1).max() < 0.03
+
+
+@pytest.mark.parametrize("filter", FILTERS)
+def test_arrays_that_are_filled_again_change_nothing(
+    demonstration: Demonstration, reference: ReferenceKeypoints, filter: str
+) -> None:
+    tracker, reusing = (KeypointTracker(ColourNetwork(), reference, settings_of(filter), seed=SEED) for _ in range(2))
+    camera = demonstration.camera("wrist")
+    depth, K, pose, gripper = camera.depth(0).copy(), camera.K.copy(), np.eye(4), np.eye(4)
+    for i_frame in range(4):
+        depth[:], pose[:] = camera.depth(i_frame), camera.world_from_cameras[i_frame]
+        gripper[:] = demonstration.robot.world_from_gripper[i_frame]
+        again = reusing.step({"wrist": camera.rgb(i_frame)}, {"wrist": depth}, {"wrist": K}, {"wrist": pose}, gripper)
+        same(again, stepped(tracker, demonstration, i_frame, ["wrist"]))
+
+
+@pytest.mark.parametrize("hole", [np.nan, np.inf, -np.inf])
+def test_depth_that_is_no_number_is_no_measurement(
+    demonstration: Demonstration, reference: ReferenceKeypoints, hole: float
+) -> None:
+    camera = demonstration.camera("wrist")
+    found = []
+    for value in (0.0, hole):
+        tracker = KeypointTracker(ColourNetwork(), reference, settings_of("particle"), seed=SEED)
+        depth = camera.depth(0).copy()
+        depth[:20] = value
+        given = (
+            {"wrist": camera.rgb(0)},
+            {"wrist": depth},
+            {"wrist": camera.K},
+            {"wrist": camera.world_from_cameras[0]},
+        )
+        found.append(tracker.step(*given))
+    same(*found)
+
+
+@pytest.mark.parametrize(
+    ("gripper", "got"), [(np.full((4, 4), np.nan), "a value that is not finite"), (np.zeros(3), r"\(3,\)")]
+)
+def test_a_gripper_that_is_nowhere_is_refused_and_changes_nothing(
+    demonstration: Demonstration, reference: ReferenceKeypoints, gripper: np.ndarray, got: str
+) -> None:
+    tracker, other = (KeypointTracker(ColourNetwork(), reference, seed=SEED) for _ in range(2))
+    for one in (tracker, other):
+        stepped(one, demonstration, 0, ["wrist"])
+    with pytest.raises(ValueError, match=f"world_from_gripper: expected a rigid transform .4, 4., got {got}"):
+        tracker.update(Look({}, {}), gripper)
+    same(stepped(tracker, demonstration, 1, ["wrist"]), stepped(other, demonstration, 1, ["wrist"]))
+
+
+def test_images_of_another_size_than_before_are_refused(
+    demonstration: Demonstration, reference: ReferenceKeypoints
+) -> None:
+    tracker = KeypointTracker(ColourNetwork(), reference)
+    stepped(tracker, demonstration, 0, ["wrist"])
+    camera = demonstration.camera("wrist")
+    image, depth = np.zeros((8, 8, 3), np.uint8), np.ones((8, 8), np.float32)
+    with pytest.raises(ValueError, match=r"camera wrist: image: expected \(\d+, \d+\) as before, got \(8, 8\)"):
+        tracker.step({"wrist": image}, {"wrist": depth}, {"wrist": camera.K}, {"wrist": np.eye(4)})
 
 
 def test_before_any_frame_nothing_is_known(demonstration: Demonstration, reference: ReferenceKeypoints) -> None:
@@ -235,6 +298,9 @@ def test_references_of_another_network_are_refused(tmp_path: Path) -> None:
         ({"depths": np.ones((8, 8), np.uint16)}, r"in metres, as the image, got \(8, 8\) uint16"),
         ({"intrinsics": None}, r"camera a: intrinsics: expected \(3, 3\), got none"),
         ({"intrinsics": np.eye(4)}, r"intrinsics: expected \(3, 3\), got \(4, 4\)"),
+        ({"intrinsics": np.zeros((3, 3))}, r"intrinsics: expected finite numbers and positive focal lengths, got"),
+        ({"intrinsics": np.full((3, 3), np.nan)}, r"intrinsics: expected finite numbers and positive focal"),
+        ({"images": np.zeros((0, 8, 3), np.uint8)}, r"image: expected \(h, w, 3\) uint8, got \(0, 8, 3\)"),
         ({"world_from_cameras": None}, r"world_from_camera: expected a rigid transform \(4, 4\), got none"),
         ({"world_from_cameras": np.eye(3)}, r"expected a rigid transform \(4, 4\), got \(3, 3\)"),
         ({"world_from_cameras": 2 * np.eye(4)}, r"expected a rigid transform \(4, 4\), got last row"),

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from numpy.random import Generator
 
@@ -82,7 +82,13 @@ def settings_named(filter: Filter, name: Named = "default", **overrides: Any) ->
 
     Args:
         overrides: fields to change; those that are None stay as they are.
+
+    Raises:
+        ValueError: there is no such filter, or no settings of that name.
     """
+    if filter not in get_args(Filter) or name not in get_args(Named):
+        known = f"one of {', '.join(get_args(Filter))} and one of {', '.join(get_args(Named))}"
+        raise ValueError(f"settings: expected {known}, got {filter} and {name}")
     own: dict[Filter, Settings] = {
         "expectation": ExpectationSettings(),
         "discrete": DiscreteSettings(),

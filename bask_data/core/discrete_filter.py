@@ -32,6 +32,9 @@ from bask_data.core.heatmap import (
     unseen_likelihood,
 )
 
+LEAST_EVIDENCE = 1e-300
+"""Likelihood below which an image says nothing of a keypoint."""
+
 FAR = 1e6
 """Depth, metres, put in for an image that has none at all: the camera's rotation still carries its pixels."""
 
@@ -99,7 +102,8 @@ def discrete_step(
 
     Source: von Hartz et al. 2023, Sec. III-B.
     """
-    before = belief.cameras if belief else (None,) * len(observations)
+    known = belief.cameras if belief else ()
+    before = (*known, *[None] * (len(observations) - len(known)))  # Cameras may join.
     filtered = [_camera_step(one, seen, settings) for one, seen in zip(before, observations, strict=True)]
     k = len(belief.estimate.mean) if belief else n_keypoints(observations)
     now = fuse([lifted for _, lifted in filtered], k)
@@ -216,8 +220,11 @@ def update(
     Source: von Hartz et al. 2023, Sec. III-B.4.
     """
     inside, outside = prior.inside * likelihood, prior.outside * tau
-    evidence = np.maximum(inside.sum(axis=(1, 2)) + outside, np.finfo(np.float64).tiny)
-    return replace(prior, inside=inside / evidence[:, None, None], outside=outside / evidence), np.log(evidence)
+    evidence = np.maximum(inside.sum(axis=(1, 2)) + outside, LEAST_EVIDENCE)
+    # Where all is as good as impossible, the image tells nothing: what is left has lost its digits.
+    told = evidence > LEAST_EVIDENCE
+    inside = np.where(told[:, None, None], inside / evidence[:, None, None], prior.inside)
+    return replace(prior, inside=inside, outside=np.where(told, outside / evidence, prior.outside)), np.log(evidence)
 
 
 def _uniform(seen: Observation, shape: tuple[int, ...]) -> CameraBelief:

@@ -245,8 +245,12 @@ def _track(
 
 def _resumed(tracker: KeypointTracker, out: Path) -> int:
     """Frames that an interrupted attempt has tracked; whatever else it left goes."""
-    if (out / STATE).exists():
-        tracker.load(out / STATE)
+    try:
+        if (out / STATE).exists():
+            tracker.load(out / STATE)
+    except BadData:
+        tracker.reset()  # A disk that lost it: all it costs is time.
+    if tracker.n_steps:
         for part in (*out.glob("*.part"), *out.rglob("*.partial")):
             part.unlink()
     else:

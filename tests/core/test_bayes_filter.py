@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import inspect
 import math
 from dataclasses import replace
 
@@ -110,3 +111,10 @@ def test_what_is_given_overrides_the_named_settings_and_none_does_not() -> None:
 def test_a_setting_that_the_filter_does_not_have_is_refused() -> None:
     with pytest.raises(TypeError, match="n_particles"):
         settings_named("discrete", n_particles=3)
+
+
+@pytest.mark.parametrize(("filter", "name"), [("partcle", "paper"), ("particle", "papr")])
+def test_a_misspelt_name_is_refused(filter: str, name: str) -> None:
+    expected = "expected one of expectation, discrete, particle and one of default, paper, code, got"
+    with pytest.raises(ValueError, match=f"settings: {expected} {filter} and {name}"):
+        inspect.unwrap(settings_named)(filter, name)  # Types are checked in tests alone.

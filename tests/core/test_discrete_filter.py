@@ -299,3 +299,11 @@ def test_a_keypoint_with_no_probability_left_in_the_image_is_outside() -> None:
     np.testing.assert_array_equal(after.cameras[0].outside, 1.0)
     np.testing.assert_allclose(estimate.log_evidence, np.log(0.1))
     np.testing.assert_array_equal(estimate.mean, first.mean)
+
+
+def test_an_image_in_which_everything_is_impossible_tells_nothing() -> None:
+    seen = Observation(np.ones((1, 3, 3), np.float32), np.ones((3, 3), np.float32), SMALL_K, camera_at())
+    belief, _ = discrete_step(None, [seen], settings=DiscreteSettings(alpha=1e4, tau=1e-320))
+    camera = belief.cameras[0]
+    assert camera is not None
+    np.testing.assert_allclose(camera.inside.sum() + camera.outside, 1.0)

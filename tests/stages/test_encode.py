@@ -219,6 +219,24 @@ def test_an_interrupted_track_goes_on_with_the_same_bytes(
     assert not any("state" in name or "part" in name for name in made[1])
 
 
+def test_a_state_that_a_disk_has_spoilt_costs_no_more_than_time(
+    tmp_path: Path, network: ColourNetwork, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(arrays, "CHUNK_ROWS", 4)
+    whole, cut = (dataset_of(tmp_path / name, {"wrist": poses()}) for name in ("whole", "cut"))
+    tracked(whole, n_particles=100)
+    [task] = plan(cut, encode, options={"n_particles": 100})
+    with monkeypatch.context() as broken:
+        _break_after_eight_frames(broken, network, "describing")
+        with pytest.raises(KeyboardInterrupt):
+            make(task)
+    (state,) = (tmp_path / "cut" / ".scratch").glob("resume~keypoints~*/state.safetensors")
+    state.write_bytes(b"junk")
+    tracked(cut, n_particles=100)
+    made = [read_manifest(one.path(KeypointTrack, "reach")).files for one in (whole, cut)]
+    assert made[0] == made[1]
+
+
 def _break_after_eight_frames(broken: pytest.MonkeyPatch, network: ColourNetwork, where: str) -> None:
     """Two chunks are on disk, and the state of the filter then or before it."""
     if where == "describing":

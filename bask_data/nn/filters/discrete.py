@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float64
 from torch import Tensor
 
-from bask_data.core.discrete_filter import FAR, CameraBelief, DiscreteBelief, DiscreteSettings
+from bask_data.core.discrete_filter import FAR, LEAST_EVIDENCE, CameraBelief, DiscreteBelief, DiscreteSettings
 from bask_data.core.heatmap import fill_depth
 from bask_data.nn.filters.frames import (
     TensorEstimate,
@@ -75,7 +75,8 @@ def discrete_step(
     belief: TensorDiscreteBelief | None, observations: Sequence[TensorObservation | None], settings: DiscreteSettings
 ) -> tuple[TensorDiscreteBelief, TensorEstimate]:
     """Belief and estimate after one more frame: `core.discrete_filter.discrete_step` on tensors."""
-    before = belief.cameras if belief else (None,) * len(observations)
+    known = belief.cameras if belief else ()
+    before = (*known, *[None] * (len(observations) - len(known)))
     filtered = [_camera_step(one, seen, settings) for one, seen in zip(before, observations, strict=True)]
     k = len(belief.estimate.mean) if belief else n_keypoints(observations)
     now = fuse([lifted for _, lifted in filtered], k)
@@ -101,8 +102,13 @@ def _camera_step(
     prior = _uniform(likelihood, view, seen) if before is None else _predicted(before, view, settings)
     tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
     inside, outside = prior.inside * likelihood, prior.outside * tau
-    evidence = (inside.sum(dim=(1, 2)) + outside).clamp(min=torch.finfo(torch.float64).tiny)
-    posterior = replace(prior, inside=inside / evidence[:, None, None], outside=outside / evidence)
+    evidence = (inside.sum(dim=(1, 2)) + outside).clamp(min=LEAST_EVIDENCE)
+    told = evidence > LEAST_EVIDENCE
+    posterior = replace(
+        prior,
+        inside=torch.where(told[:, None, None], inside / evidence[:, None, None], prior.inside),
+        outside=torch.where(told, outside / evidence, prior.outside),
+    )
     return posterior, _lifted(posterior, evidence.log(), seen.depth.shape)
 
 
