@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Camera, Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Truth
@@ -30,6 +30,9 @@ B = TypeVar("B")
 
 STATE = "state.safetensors"
 """What an interrupted track goes on from; no part of the artifact."""
+
+MOST_CELLS = 4096
+"""Rows or columns of a belief: more than any image has."""
 
 AHEAD = 2
 """Frames read and described ahead of the filter, by a thread each: enough for all to be busy, few enough for any size
@@ -104,6 +107,13 @@ class EncodeParams(Params):
     )
     seed: int = Field(0, ge=0, description="Seed of the particle filter, and of the dropout.")
 
+    @field_validator("grid")
+    @classmethod
+    def _has_rows_and_columns(cls, grid: tuple[int, ...]) -> tuple[int, ...]:
+        if grid and (len(grid) != 2 or min(grid) < 1 or max(grid) > MOST_CELLS):
+            raise ValueError(f"rows and columns, 1 to {MOST_CELLS} of each")
+        return grid
+
     def reads(self, kind: str) -> tuple[str, ...] | None:
         """Truth only where it is asked for."""
         return () if kind == Truth.kind and self.source == "network" else None
@@ -159,8 +169,6 @@ def settings_of(params: EncodeParams) -> Settings:
     """The settings of the chosen filter; those of the others do not matter."""
     from bask_data.core.bayes_filter import settings_named
 
-    if params.grid and (len(params.grid) != 2 or min(params.grid) < 1):
-        raise UsageError("encode", "grid", expected="rows and columns", got=",".join(map(str, params.grid)))
     names = asdict(settings_named(params.filter, params.settings))
     given = {**params.model_dump(), "grid": params.grid or None}
     chosen = {name: value for name, value in given.items() if name in names}
