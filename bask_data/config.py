@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -78,40 +79,94 @@ def _value(text: str) -> Any:
         raise UsageError("--set", "", expected="a YAML value", got=text) from error
 
 
-def write_section(file: Path, section: str, values: dict[str, Any]) -> None:
+@contextmanager
+def section_written(file: Path, section: str, values: dict[str, Any]) -> Iterator[None]:
+    """`write_section`, taken back to the byte if what is done under it fails."""
+    before = write_section(file, section, values)
+    try:
+        yield
+    except BaseException:
+        if before is None:
+            file.unlink(missing_ok=True)
+        else:
+            write_text_atomically(file, before)
+        raise
+
+
+def write_section(file: Path, section: str, values: dict[str, Any]) -> str | None:
     """Set parameters of one section of a YAML file, which need not exist; the rest stays as it is, comments included.
 
+    Returns:
+        what the file held before; None if there was none.
+
     Raises:
-        BadData: the file is no YAML mapping of mappings.
+        BadData: the file is no YAML mapping of mappings, or cannot be written.
     """
     import yaml
 
     config = _from_file(file) if file.exists() else {}
     wanted = {**config, section: {**config.get(section, {}), **values}}
-    text = _with_section(file.read_text(encoding="utf-8") if file.exists() else "", section, wanted[section])
-    try:
-        is_right = _sections(yaml.safe_load(text), file) == wanted
-    except (yaml.YAMLError, BadData):
-        is_right = False
-    if not is_right:
+    before = file.read_bytes().decode() if file.exists() else None
+    text = _with_section(before or "", section, wanted[section])
+    if not _says(text, wanted, file):
         # It is written in a way whose lines cannot be exchanged: all of it in one, for instance.
         text = yaml.safe_dump(wanted, sort_keys=False, allow_unicode=True)
-    write_text_atomically(file, text)
+    try:
+        write_text_atomically(file, text)
+    except OSError as error:
+        raise BadData(file, "", expected="a file that can be written", got=str(error)) from error
+    return before
 
 
 def _with_section(text: str, section: str, values: dict[str, Any]) -> str:
-    """The text with the lines of one top-level section replaced, or added at its end."""
+    """The text with the lines of one top-level section replaced, or added at the document's end."""
     import yaml
 
     written = yaml.safe_dump({section: values}, sort_keys=False, allow_unicode=True, width=1000)
     lines = text.splitlines(keepends=True)
-    begin = next((i for i, line in enumerate(lines) if line.startswith((f"{section}:", f'"{section}":'))), None)
-    if begin is None:
-        return text + ("" if text.endswith("\n") or not text else "\n") + written
-    end = begin + 1
-    while end < len(lines) and (lines[end].startswith((" ", "-")) or not lines[end].strip()):
-        end += 1
-    # The empty lines before the next section belong to what comes after.
-    while not lines[end - 1].strip():
+    root = yaml.compose(text, yaml.SafeLoader)
+    if not isinstance(root, yaml.MappingNode):
+        begin = end = len(lines)
+    else:
+        # Where each section begins; the last one ends with the document, whose mark may follow.
+        begins = [key.start_mark.line for key, _ in root.value]
+        begins.append(root.end_mark.line + (root.end_mark.column > 0))
+        i = next((i for i, (key, _) in enumerate(root.value) if key.value == section), len(root.value))
+        begin, end = begins[i], begins[min(i + 1, len(root.value))]
+    # Empty lines and comments before the next section belong to what comes after.
+    while end > begin + 1 and (lines[end - 1].startswith("#") or not lines[end - 1].strip()):
         end -= 1
+    if begin and not lines[begin - 1].endswith("\n"):
+        lines[begin - 1] += "\n"
     return "".join([*lines[:begin], written, *lines[end:]])
+
+
+def _says(text: str, wanted: Config, file: Path) -> bool:
+    """Whether a text is YAML of these sections, and names none of its keys twice."""
+    import yaml
+
+    try:
+        root = yaml.compose(text, yaml.SafeLoader)
+        return not _has_key_twice(root) and _sections(yaml.safe_load(text), file) == wanted
+    except (yaml.YAMLError, BadData):
+        return False
+
+
+def _has_key_twice(root: Any) -> bool:
+    """Whether any mapping has one key twice, of which loading takes the last without a word."""
+    import yaml
+
+    pending, seen = [root], set()
+    while pending:
+        node = pending.pop()
+        if id(node) in seen:  # By an alias.
+            continue
+        seen.add(id(node))
+        if isinstance(node, yaml.MappingNode):
+            keys = [(key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+            if len(set(keys)) < len(keys):
+                return True
+            pending += [value for _, value in node.value]
+        elif isinstance(node, yaml.SequenceNode):
+            pending += node.value
+    return False

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bask_data.config import load_config, write_section
+from bask_data.config import load_config, section_written, write_section
 from bask_data.errors import BadData, UsageError
 from bask_data.stage import resolve
 from tests.toy_stages import fuse, pick
@@ -103,6 +103,58 @@ def test_a_file_in_another_style_keeps_its_values(tmp_path: Path, text: str) -> 
     file = written(tmp_path, text)
     write_section(file, "pick@main", {"picks": ["y"]})
     assert yaml.safe_load(file.read_text()) == {"fuse": {"voxel_size": 1}, "pick@main": {"n": 3, "picks": ["y"]}}
+
+
+@pytest.mark.parametrize(
+    ("before", "section", "after"),
+    [
+        ("", "reference@main:\n  n: 3\n# Mine.\n  picks:\n  - x\n", "fuse: {a: 1}  # Its.\n"),
+        ("# Ours.\n", "'reference@main':\n  n: 3\n  picks: [x]\n", "\n# Its.\nfuse: {a: 1}\n"),
+        ("%YAML 1.1\n---\n# Ours.\nfuse: {a: 1}\n", "reference@main: {n: 3}\n", "...\n# End.\n"),
+        ("---  # Ours.\nfuse: {a: 1}\n", "reference@main: {n: 3}", ""),
+        ("fuse:\r\n  a: 1 # Its.\r\n", "reference@main:\r\n  n: 3\r\n", "\r\n# End.\r\n"),
+    ],
+)
+def test_a_section_is_found_however_it_is_written(tmp_path: Path, before: str, section: str, after: str) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_bytes(f"{before}{section}{after}".encode())
+    assert write_section(file, "reference@main", {"picks": ["y"]}) == f"{before}{section}{after}"
+    assert file.read_bytes().decode() == f"{before}reference@main:\n  n: 3\n  picks:\n  - y\n{after}"
+    assert yaml.safe_load(file.read_text()) == {"fuse": {"a": 1}, "reference@main": {"n": 3, "picks": ["y"]}}
+
+
+def test_a_new_section_goes_before_the_mark_of_the_documents_end(tmp_path: Path) -> None:
+    file = written(tmp_path, "---\n# Ours.\nfuse: {a: 1}\n...\n# End.\n")
+    write_section(file, "pick", {"n": 3})
+    assert file.read_text() == "---\n# Ours.\nfuse: {a: 1}\npick:\n  n: 3\n...\n# End.\n"
+
+
+@pytest.mark.parametrize(
+    "text", ["fuse: {a: 2}\nfuse: {a: 1}\n", "fuse: {a: 2, a: 1}\n", "pick: {}\npick: {}\nfuse: {a: 1}\n"]
+)
+def test_no_key_stays_in_a_file_twice(tmp_path: Path, text: str) -> None:
+    file = written(tmp_path, text)
+    write_section(file, "pick", {"n": 3})
+    assert (file.read_text().count("fuse"), file.read_text().count("pick"), file.read_text().count("a:")) == (1, 1, 1)
+    assert yaml.safe_load(file.read_text()) == {"fuse": {"a": 1}, "pick": {"n": 3}}
+
+
+@pytest.mark.parametrize("text", ["# Ours.\r\nfuse: {a: 1}\r\n", None])
+def test_a_section_is_taken_back_if_what_it_is_for_fails(tmp_path: Path, text: str | None) -> None:
+    file = tmp_path / "params.yaml"
+    if text is not None:
+        file.write_bytes(text.encode())
+    during = {}
+    with pytest.raises(KeyError, match="nothing"), section_written(file, "pick", {"n": 3}):
+        during.update(yaml.safe_load(file.read_text())) or {}["nothing"]
+    assert during["pick"] == {"n": 3}
+    assert (file.read_bytes().decode() if file.exists() else None) == text
+
+
+def test_a_file_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    (tmp_path / "no_folder").write_text("")
+    with pytest.raises(BadData, match="expected a file that can be written, got .*no_folder"):
+        write_section(tmp_path / "no_folder" / "params.yaml", "pick", {"n": 3})
 
 
 def test_a_file_that_is_none_of_ours_is_left_alone(tmp_path: Path) -> None:
