@@ -456,7 +456,11 @@ def _pick(dataset: Dataset, *, dry_run: bool, options: dict[str, Any], **picking
 
     with shown_progress():
         found = Picking(dataset, **picking)
-        outcomes = pick_keypoints(found, say=say, opened=opened, port=options["port"] or 0)
+        try:
+            outcomes = pick_keypoints(found, say=say, opened=opened, port=options["port"] or 0)
+        except KeyboardInterrupt:
+            say("interrupted: nothing was saved; what was picked is kept, and the same command goes on with it.")
+            raise typer.Exit(130) from None
     for outcome in outcomes:
         show_outcome(outcome)
     if not outcomes:

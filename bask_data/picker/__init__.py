@@ -10,7 +10,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from bask_data.artifact import SCRATCH
-from bask_data.config import write_section
+from bask_data.config import section_written
 from bask_data.dataset import Dataset, Variant
 from bask_data.errors import BadData, BaskError, UsageError
 from bask_data.kinds import Demonstration, DescriptorNet, Pick, Recording, Scan, VisibleMasks
@@ -46,7 +46,7 @@ class Picking:
 def pick_keypoints(
     picking: Picking, *, say: Callable[[str], None], opened: Callable[[str], None], port: int = 0
 ) -> list[Outcome]:
-    """Serve the page until it is closed.
+    """Serve the page until it is closed; Ctrl-C closes it too once something was saved.
 
     Args:
         say: told what a person should know.
@@ -54,6 +54,9 @@ def pick_keypoints(
 
     Returns:
         what became of the last saving; empty if nothing was saved.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C, and nothing was saved.
     """
     task = picking.planned({})
     file = picking.dataset.root / SCRATCH / f"picks~{task.variant}.json"
@@ -61,7 +64,11 @@ def pick_keypoints(
     try:
         with FileLock(file.with_suffix(".lock"), timeout=0):
             desk = _desk(picking, task, file, say)
-            serve(desk, port, opened=opened)
+            try:
+                serve(desk, port, opened=opened)
+            except KeyboardInterrupt:
+                if not picking.outcomes:
+                    raise
     except Timeout:
         fix = "use the page that is open, or end its command."
         raise UsageError("--pick", task.variant, expected="one page at a time", got="another", fix=fix) from None
@@ -141,11 +148,13 @@ def _given(params: ReferenceParams, recordings: dict[str, Recording]) -> list[Ma
 
 def _saved(picking: Picking, picks: list[str]) -> Outcome:
     """The artifact of these picks, made by its stage, and the parameters that make it again."""
-    task = picking.planned({"picks": picks, "auto": False})
-    outcome = make(task)
-    if outcome.status not in ("made", "up to date"):
-        raise outcome.error or BaskError("reference", "", expected="to be made", got=outcome.why)
+    values = {"picks": picks, "auto": False}
+    task = picking.planned(values)
+    # The parameters first: were they refused when the artifact is there, it could not be made again.
+    with section_written(picking.parameters, f"{task.stage.name}@{task.variant}", values):
+        outcome = make(task)
+        if outcome.status not in ("made", "up to date"):
+            raise outcome.error or BaskError("reference", "", expected="to be made", got=outcome.why)
     if task.variant != "main":
         picking.dataset.add_variant(task.stage.makes, task.variant, Variant(inputs=picking.inputs))
-    write_section(picking.parameters, f"{task.stage.name}@{task.variant}", {"auto": False, "picks": picks})
     return outcome

@@ -60,7 +60,7 @@ class Draft:
         try:
             self._kept = _File(marks=tuple(start)) if self.is_new else _File.model_validate_json(file.read_bytes())
         except ValidationError as error:
-            field, expected, came = first_fault(error)
+            field, expected, came = fault_in_json(error)
             fix = "delete it: it holds unfinished picks only."
             raise BadData(file, field, expected=expected, got=came, fix=fix) from error
 
@@ -147,6 +147,12 @@ class Draft:
     def _keep(self, kept: _File) -> None:
         write_json_atomically(self._file, kept.model_dump(mode="json"))
         self._kept = kept
+
+
+def fault_in_json(error: ValidationError) -> tuple[str, str, str]:
+    """`first_fault`, also of a text that is no JSON at all, of which it says too much."""
+    fault = error.errors()[0]
+    return ("", "JSON", fault["ctx"]["error"]) if fault["type"] == "json_invalid" else first_fault(error)
 
 
 def checked_name(name: str) -> str:

@@ -22,8 +22,8 @@ MOST_BYTES = 512 * 2**20
 """Descriptors kept in memory; of 256x256 images with 32 dimensions that is more than a thousand frames."""
 
 MOST_PIXELS = 128 * 128
-"""Of a heat map. Descriptors are smooth over eight pixels of what the network sees, so more would show nothing more, and
-take longer to arrive and to draw."""
+"""Of a heat map. Descriptors are smooth over eight pixels of what the network sees, so more would show nothing more,
+and take longer to arrive and to draw."""
 
 DEPTH_TOLERANCE = 0.02
 """Metres by which a measurement may differ from a point's depth and still show the point."""

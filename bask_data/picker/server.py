@@ -12,8 +12,8 @@ from urllib.parse import parse_qs
 from pydantic import ValidationError
 
 from bask_data.errors import BaskError, MissingDependency, UsageError
-from bask_data.params import first_fault
 from bask_data.picker.desk import Desk, Request
+from bask_data.picker.draft import fault_in_json
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -127,7 +127,7 @@ def _answering(answer: Callable[[Any], Any]) -> Callable[[HttpRequest], Awaitabl
         return JSONResponse({"error": text}, status, HEADERS)
 
     async def endpoint(request: HttpRequest) -> Response:
-        if request.headers.get("content-type") != "application/json":
+        if request.headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
             return refused(415, "expected application/json")
         body = bytearray()
         async for chunk in request.stream():
@@ -137,8 +137,8 @@ def _answering(answer: Callable[[Any], Any]) -> Callable[[HttpRequest], Awaitabl
         try:
             asked = model.model_validate_json(bytes(body))
         except ValidationError as error:
-            field, expected, _ = first_fault(error)
-            return refused(400, f"{field}: expected {expected}")
+            field, expected, came = fault_in_json(error)
+            return refused(400, str(UsageError(field or "request", expected=expected, got=came)))
         try:
             found = await run_in_threadpool(answer, asked)
         except BaskError as error:

@@ -125,9 +125,17 @@ def test_names_may_be_words_of_any_language() -> None:
     assert checked_name("  Griff übers Eck.2 ") == "Griff übers Eck.2"
 
 
-@pytest.mark.parametrize("text", ["", "{", json.dumps({"marks": [{"name": "x"}]}), json.dumps({"marks": 3})])
-def test_a_damaged_file_says_what_to_do(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("", "expected JSON, got EOF while parsing"),
+        ("{", "expected JSON, got EOF while parsing"),
+        (json.dumps({"marks": [{"name": "x"}]}), "marks.0.recording: expected a value"),
+        (json.dumps({"marks": 3}), "marks: expected "),
+    ],
+)
+def test_a_damaged_file_says_what_to_do(tmp_path: Path, text: str, what: str) -> None:
     file = tmp_path / "picks.json"
     file.write_text(text)
-    with pytest.raises(BadData, match=r"picks.json: .*fix: delete it: it holds unfinished picks only."):
+    with pytest.raises(BadData, match=rf"picks.json: {what}.*fix: delete it: it holds unfinished picks only."):
         Draft(file)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,11 @@ from bask_data.dataset import Dataset, Variant
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import DescriptorNet, ReferenceKeypoints, VisibleMasks
 from bask_data.picker import Picking, pick_keypoints
+from bask_data.picker.desk import Desk, Edit, Nothing, Place
 from bask_data.pipeline import STAGES
 from bask_data.stage import plan, state_of
 from bask_data.stages.reference import reference
-from tests.picker.pickable import pickable_dataset
+from tests.picker.pickable import frame, pickable_dataset
 from tests.picker.serving import Served
 from tests.stages.test_reference import without_objects
 
@@ -154,6 +156,54 @@ def test_what_lacks_for_saving_is_said_on_the_page(dataset) -> None:
         assert (status, "expected to be made, got masks/a is missing" in json.loads(text)["error"]) == (400, True)
         assert len(page.told("start")["marks"]) == 1
     assert not (dataset.root / "params.yaml").exists()
+
+
+def test_parameters_that_cannot_be_written_leave_the_artifact_as_it_was(dataset) -> None:
+    with Page(dataset, "hand") as page:
+        click(page, name="rim")
+        page.told("save")
+        (dataset.root / "params.yaml").unlink()
+        (dataset.root / "params.yaml").mkdir()
+        click(page, name="knob")
+        status, text = page.ask("save")
+        assert (status, "params.yaml: expected YAML, got" in json.loads(text)["error"]) == (400, True)
+        assert len(page.told("start")["marks"]) == 2
+    assert ReferenceKeypoints(dataset.path(ReferenceKeypoints, variant="hand")).names == ["rim"]
+    (dataset.root / "params.yaml").rmdir()
+
+
+def test_parameters_are_as_they_were_if_the_artifact_cannot_be_made(dataset) -> None:
+    with Page(dataset) as page:
+        click(page, name="rim")
+        page.told("save")
+        before = (dataset.root / "params.yaml").read_bytes()
+        click(page, name="knob")
+        shutil.rmtree(dataset.path(VisibleMasks, "a"))
+        assert page.ask("save")[0] == 400
+    assert (dataset.root / "params.yaml").read_bytes() == before
+
+
+@pytest.mark.parametrize("is_saved", [True, False])
+def test_ctrl_c_ends_as_finish_does_once_something_was_saved(dataset, monkeypatch, is_saved: bool) -> None:
+    def interrupted(desk: Desk, port: int, opened: object) -> None:
+        at = Place(frame=frame("a", 1), u=40.0, v=50.0)
+        desk.edit(Edit(do="add", at=at))
+        if is_saved:
+            desk.save(Nothing())
+        signal.raise_signal(signal.SIGINT)  # As the server does with the one it was ended by.
+
+    monkeypatch.setattr("bask_data.picker.serve", interrupted)
+    ended = CliRunner().invoke(app, ["reference", str(dataset.root), "--pick", "--no-browser"])
+    assert dataset.path(ReferenceKeypoints).exists() == is_saved
+    if is_saved:
+        assert ended.exit_code == 0, ended.stderr
+        assert "interrupted" not in ended.stderr
+        assert "made" in ended.stderr
+        assert f"next: bask-data encode {dataset.root}" in ended.stderr
+    else:
+        assert ended.exit_code == 130
+        assert "nothing was saved; what was picked is kept, and the same command goes on with it." in ended.stderr
+        assert list((dataset.root / SCRATCH).glob("picks*.json"))
 
 
 def picked(dataset: Dataset, **options: object) -> None:
