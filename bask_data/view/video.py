@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from bask_data.dataset import Dataset
-from bask_data.errors import UsageError, WouldOverwrite
+from bask_data.errors import BaskError, UsageError, WouldOverwrite
 from bask_data.formats.video import VideoWriter, import_av
 from bask_data.kinds import Camera, KeypointTrack
 from bask_data.progress import progress
@@ -58,6 +58,7 @@ def write_videos(
         UsageError: none of the items has a track.
         WouldOverwrite: a file exists.
         BadData: a track cannot be read, or does not fit its recording.
+        BaskError: the files cannot be written.
     """
     import_av()
     tracked = [name for name in items if find(dataset, KeypointTrack, name, variant) and find_recording(dataset, name)]
@@ -67,14 +68,18 @@ def write_videos(
         raise UsageError(dataset.root, "--video", expected=expected, got=f"none of {', '.join(items)}", fix=fix)
     suffix = "" if variant == "main" else f"-{variant}"
     files = {name: folder / f"{name}{suffix}.mp4" for name in tracked}
-    for file in files.values():
-        if file.exists() and not force:
-            raise WouldOverwrite(file, "", expected="no file", got="one", fix="--force replaces it.")
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, file in files.items():
-        scored = TrackScores(dataset, name, variant)
-        with reading(scored.track):
-            _write(scored, f"{name} ({variant}, {scored.track.metadata.filter})", file, every)
+    try:
+        for file in files.values():
+            if file.exists() and not force:
+                raise WouldOverwrite(file, "", expected="no file", got="one", fix="--force replaces it.")
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, file in files.items():
+            scored = TrackScores(dataset, name, variant)
+            with reading(scored.track):
+                _write(scored, f"{name} ({variant}, {scored.track.metadata.filter})", file, every)
+    except OSError as error:
+        fix = "see that the disk has room, and that you may write there."
+        raise BaskError(folder, "", expected="a place that takes all", got=str(error)[:200], fix=fix) from error
     return files
 
 

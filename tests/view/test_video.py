@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from bask_data.cli import app
 from bask_data.dataset import Dataset
-from bask_data.errors import UsageError, WouldOverwrite
+from bask_data.errors import BaskError, UsageError, WouldOverwrite
 from bask_data.kinds import Demonstration, KeypointTrack
 from bask_data.report.pictures import palette
 from bask_data.view import video
@@ -99,6 +99,15 @@ def test_a_video_is_replaced_only_if_asked_to(
         write_videos(dataset, tmp_path, ["demo-a"], force=True)
     assert file.read_bytes() == before
     assert [one.name for one in tmp_path.iterdir()] == ["demo-a.mp4"]
+
+
+def test_a_place_where_nothing_can_be_written_is_told(dataset: Dataset, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(BaskError, match="expected a place that takes all, got .*Not a directory"):
+        write_videos(dataset, tmp_path / "file" / "v", ["demo-a"])
+    answer = CliRunner().invoke(app, ["view", str(dataset.root), "--video", "/proc/zz"])
+    assert answer.exit_code == 1
+    assert "/proc/zz: expected a place that takes all" in " ".join(answer.stderr.split())
 
 
 def test_without_a_track_there_is_no_video(dataset: Dataset, tmp_path: Path) -> None:
