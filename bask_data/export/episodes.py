@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from bask_data import __version__
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, UsageError
-from bask_data.kinds import Camera, Demonstration, KeypointTrack
+from bask_data.formats.files import listed
+from bask_data.kinds import Camera, Demonstration, KeypointTrack, ReferenceKeypoints
 
 if TYPE_CHECKING:
     import numpy as np
@@ -84,6 +85,8 @@ class Entry:
     Args:
         fps: frames per second: the inverse of the median time between frames.
         n_gaps: times between frames that are longer than one and a half of the median.
+        digest: of the keypoints.
+        filter: that tracked them.
     """
 
     name: str
@@ -93,6 +96,7 @@ class Entry:
     fps: float
     n_gaps: int
     digest: str
+    filter: str
 
 
 @dataclass(frozen=True)
@@ -163,7 +167,12 @@ class Episodes:
     @property
     def notes(self) -> list[str]:
         """What was done to the numbers; complete when all have been read."""
-        return [
+        by_filter: dict[str, list[str]] = {}
+        for entry in self.entries:
+            by_filter.setdefault(entry.filter, []).append(entry.name)
+        told = "; ".join(f"{filter}: {listed(names)}" for filter, names in by_filter.items())
+        mixed = [f"the keypoints are of different filters: {told}."] if len(by_filter) > 1 else []
+        return mixed + [
             f"{name}: {n} positions are kept from other frames, in which the keypoint was localised."
             for name, n in self._held.items()
             if n
@@ -189,8 +198,7 @@ class Episodes:
             "dataset": self.dataset.file.name,
             "licence": self.dataset.file.licence,
             "variant": self.choice.variant,
-            "filter": self._track(self.entries[0].name).metadata.filter,
-            "keypoints": self._track(self.entries[0].name).names,
+            "keypoints": self.track(self.entries[0].name).names,
             "noise": self.choice.noise,
             "seed": self.choice.seed,
             "conventions": CONVENTIONS,
@@ -208,7 +216,8 @@ class Episodes:
     def _demonstration(self, name: str) -> Demonstration:
         return Demonstration(self.dataset.path(Demonstration, name))
 
-    def _track(self, name: str) -> KeypointTrack:
+    def track(self, name: str) -> KeypointTrack:
+        """The keypoints of a demonstration; `BadData` where there are none."""
         path = self.dataset.path(KeypointTrack, name, self.choice.variant)
         if not path.exists():
             option = "" if self.choice.variant == "main" else f" --variant {self.choice.variant}"
@@ -217,7 +226,7 @@ class Episodes:
         return KeypointTrack(path)
 
     def _entry(self, name: str, split: str) -> Entry:
-        demonstration, track = self._demonstration(name), self._track(name)
+        demonstration, track = self._demonstration(name), self.track(name)
         track.check_complete()
         demonstration.check_complete()
         n_frames = track.group["mean"].shape[0]  # type: ignore[union-attr]
@@ -233,11 +242,11 @@ class Episodes:
         fps, n_gaps = _rate(demonstration.cameras[0])
         options = self.dataset.file.demonstrations[name].options
         task = self.choice.task or str(options.get("task") or self.dataset.file.name)
-        return Entry(name, split, task, n_frames, fps, n_gaps, track.manifest.digest)
+        return Entry(name, split, task, n_frames, fps, n_gaps, track.manifest.digest, track.metadata.filter)
 
     def _columns(self, name: str) -> list[Column]:
         demonstration = self._demonstration(name)
-        group, names = demonstration.group, self._track(name).names
+        group, names = demonstration.group, self.track(name).names
         coordinates = tuple(f"{keypoint}.{axis}" for keypoint in names for axis in "xyz")
         axes = tuple(f"gripper.{axis}_{of}" for axis in ("x_axis", "y_axis") for of in "xyz")
         here, each = "Whether a camera more likely than not sees the keypoint in this frame.", tuple(names)
@@ -279,16 +288,35 @@ class Episodes:
         if extra := [name for name in names if name not in {column.name for column in here}]:
             path = self._demonstration(other).path
             raise BadData(path, extra[0], expected=f"none, as {first} has none", got="some", fix=_ALIKE)
+        self._check_same_reference(first, other)
         if (sizes := self._sizes(other)) != self.cameras:
             expected = f"{_listed(self.cameras)}, as {first} has"
             raise BadData(self._demonstration(other).path, "cameras", expected=expected, got=_listed(sizes), fix=_ALIKE)
+
+    def _check_same_reference(self, first: str, other: str) -> None:
+        """A keypoint's name stands for one point of an object: that of the reference both were tracked by."""
+        here, there = self._reference(first), self._reference(other)
+        if here and there and here != there:
+            option = "" if self.choice.variant == "main" else f" --variant {self.choice.variant}"
+            raise BadData(
+                self.track(other).path,
+                "reference",
+                expected=f"{here[:12]}, as {first} was tracked by",
+                got=there[:12],
+                fix=f"bask-data encode {self.dataset.root}{option}, or {_ALIKE}",
+            )
+
+    def _reference(self, name: str) -> str:
+        """Digest of the reference keypoints that a track was made from; empty where it does not say."""
+        inputs = self.track(name).manifest.inputs
+        return next((of for path, of in inputs.items() if path.split("/")[0] == ReferenceKeypoints.kind), "")
 
     def _read(self, entry: Entry) -> Episode:
         import numpy as np
 
         from bask_data.core.scores import spread
 
-        demonstration, track = self._demonstration(entry.name), self._track(entry.name)
+        demonstration, track = self._demonstration(entry.name), self.track(entry.name)
         localised = np.isfinite(track.mean).all(axis=-1) & np.isfinite(track.covariance).all(axis=(-2, -1))
         for i in np.flatnonzero(~localised.any(axis=0)):
             fix = "export another --variant, or leave the demonstration out with --only."

@@ -46,6 +46,7 @@ class Demo:
         grippers[:, :3, 3] = rng.normal(size=(n, 3))
         self.robot: Robot | None = Robot(grippers, rng.uniform(0, 0.08, n), rng.uniform(-1, 1, (n, 4)), ACTIONS)
         self.names = KEYPOINTS
+        self.filter = "particle"
         self.mean = rng.normal(size=(n, k, 3)).astype(np.float32)
         half = rng.normal(size=(n, k, 3, 3)) * 0.01
         self.covariance = (half @ half.swapaxes(-1, -2)).astype(np.float32)
@@ -80,7 +81,7 @@ class Demo:
 
     def _write_track(self, out: Path) -> None:
         n, k = self.mean.shape[:2]
-        with KeypointTrack.writer(out, names=self.names, filter="particle", cameras=list(self.cameras)) as writer:
+        with KeypointTrack.writer(out, names=self.names, filter=self.filter, cameras=list(self.cameras)) as writer:
             for i in range(n):
                 writer.append(
                     mean=self.mean[i],

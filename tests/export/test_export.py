@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import json
+import shutil
 import socket
 import sys
 import weakref
+from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
 
@@ -15,13 +17,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
-from bask_data.artifact import list_files
+from bask_data.artifact import Artifact, digest_of, list_files, seal
 from bask_data.cli import app
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, BaskError, MissingDependency, UsageError, WouldOverwrite
 from bask_data.export import Choice, FormatName, export
 from bask_data.export.episodes import Episodes, held
-from bask_data.kinds import Camera, KeypointTrack, Robot
+from bask_data.kinds import Camera, DescriptorNet, KeypointTrack, ReferenceKeypoints, Robot
+from bask_data.stage import key_parts, plan
+from bask_data.stages.encode import encode
+from tests.datasets import publish_artifact
 from tests.export.encoded import KEYPOINTS, Demo, state
 
 NAMES = {"parquet": "out", "lerobot": "out", "robomimic": "out.hdf5", "diffusion-policy": "out.zarr"}
@@ -156,10 +161,11 @@ def test_every_format_says_what_its_numbers_mean(encoded, tmp_path: Path, format
         said = json.loads((out / ".zattrs").read_text())["bask"]
     else:
         said = json.loads((out / "bask.json").read_text())
-    assert (said["format"], said["dataset"], said["licence"], said["filter"]) == (format, "kitchen", "CC0", "particle")
+    assert (said["format"], said["dataset"], said["licence"]) == (format, "kitchen", "CC0")
     assert (said["noise"], said["seed"], said["keypoints"]) == (0.02, 7, KEYPOINTS)
     assert said["splits"] == {"train": ["a", "b"], "validation": [], "test": ["c"]}
     assert [(one["name"], one["n_frames"]) for one in said["episodes"]] == [("a", 12), ("b", 7), ("c", 9)]
+    assert [one["filter"] for one in said["episodes"]] == ["particle"] * 3
     assert said["episodes"][0]["fps"] == pytest.approx(10.0)
     assert {one["name"]: one["units"] for one in said["columns"]}["keypoints"] == "metre"
     assert "world" in said["conventions"]
@@ -183,9 +189,68 @@ def test_nothing_but_an_export_is_replaced(encoded, tmp_path: Path, format: Form
     out = tmp_path / NAMES[format]
     out.mkdir()
     (out / "letters.txt").write_text("dear")
-    with pytest.raises(UsageError, match=r"--force: expected .*, got something else.  fix: choose another OUT\."):
+    with pytest.raises(WouldOverwrite, match=r"--force: expected .*, got something else.  fix: choose another OUT\."):
         export(encoded[0], out, format, Choice(), force=True)
     assert (out / "letters.txt").read_text() == "dear"
+
+
+def hdf5(file: Path, **texts: str) -> None:
+    with h5py.File(file, "w") as written:
+        written["data/demo_0/actions"] = np.ones((3, 4))
+        for name, text in texts.items():
+            written[name] = text
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda file: file.write_text("dear"),
+        lambda file: hdf5(file),
+        lambda file: hdf5(file, bask="a mask, misspelt"),
+        lambda file: hdf5(file, bask="5"),
+        lambda file: hdf5(file, bask='{"format": "of mine"}'),
+    ],
+    ids=["text", "hdf5", "another text", "a number", "another format"],
+)
+def test_no_file_but_an_exported_one_is_replaced(encoded, tmp_path: Path, write: Callable[[Path], object]) -> None:
+    out = tmp_path / "mine.h5"
+    write(out)
+    before = out.read_bytes()
+    with pytest.raises(WouldOverwrite, match="--force: expected a robomimic file of bask-data, got something else"):
+        export(encoded[0], out, "robomimic", Choice(), force=True)
+    assert out.read_bytes() == before
+    assert cli("export", "robomimic", encoded[0].root, out, "--force").exit_code == 3
+
+
+def test_a_file_that_only_links_to_an_export_is_not_replaced(encoded, tmp_path: Path) -> None:
+    export(encoded[0], tmp_path / "ours.h5", "robomimic", Choice())
+    with h5py.File(tmp_path / "mine.h5", "w") as written:
+        written["bask"] = h5py.ExternalLink("ours.h5", "bask")
+    with pytest.raises(WouldOverwrite, match="got something else"):
+        export(encoded[0], tmp_path / "mine.h5", "robomimic", Choice(), force=True)
+
+
+@pytest.mark.parametrize("name", [".zattrs", "bask.json"])
+@pytest.mark.parametrize("text", ["5", '["bask"]', '{"bask": 5}', '{"bask": {}}', "{", ""])
+def test_a_folder_that_says_something_else_is_not_replaced(encoded, tmp_path: Path, name: str, text: str) -> None:
+    out = tmp_path / "own"
+    out.mkdir()
+    (out / name).write_text(text)
+    with pytest.raises(WouldOverwrite, match="--force: expected an exported folder, got something else"):
+        export(encoded[0], out, "diffusion-policy", Choice(), force=True)
+    assert (out / name).read_text() == text
+
+
+def test_a_place_within_the_dataset_or_around_it_is_refused(encoded, tmp_path: Path) -> None:
+    root = encoded[0].root
+    (tmp_path / "way").symlink_to(root)
+    before = [name for name, _ in list_files(root)]
+    for out in (root, root / "keypoints" / "out", root.parent, tmp_path / "way" / "out", root / ".." / root.name / "x"):
+        with pytest.raises(UsageError, match="OUT: expected a place outside of the dataset, got one that shares"):
+            export(encoded[0], out, "parquet", Choice(), force=True)
+    assert cli("export", "parquet", root, root / "out").exit_code == 2
+    assert [name for name, _ in list_files(root)] == before
+    export(encoded[0], root.with_name(f"{root.name}-out"), "parquet", Choice(only=("b",)))
 
 
 @FORMATS
@@ -311,6 +376,101 @@ def test_a_pause_is_told(tmp_path: Path) -> None:
     done = export(one(tmp_path / "d", demo), tmp_path / "out", "parquet", Choice())
     [note] = done.notes
     assert note.startswith("a: 1 times between frames are longer than one and a half of the usual 0.1 s")
+
+
+def test_what_is_held_out_but_not_chosen_is_told(encoded, tmp_path: Path) -> None:
+    choice = Choice(only=("a", "b"), validation=("b", "c"), test=("a",))
+    assert export(encoded[0], tmp_path / "out", "parquet", choice).notes == [
+        "--validation c: left out, because --only does not name it."
+    ]
+
+
+def test_different_filters_are_told_and_named_with_each_demonstration(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    for i, name in enumerate("abc"):
+        demo = Demo(i)
+        demo.filter = "discrete" if name == "b" else "particle"
+        demo.publish(dataset, name)
+    done = export(dataset, tmp_path / "out", "parquet", Choice())
+    assert done.notes == ["the keypoints are of different filters: particle: a, c; discrete: b."]
+    said = json.loads((tmp_path / "out" / "bask.json").read_text())
+    assert [one["filter"] for one in said["episodes"]] == ["particle", "discrete", "particle"]
+    assert pq.read_table(tmp_path / "out" / "episodes.parquet")["filter"].to_pylist() == [
+        *("particle", "discrete", "particle")
+    ]
+    assert export(dataset, tmp_path / "alike", "parquet", Choice(only=("a", "c"))).notes == []
+
+
+def put_input(dataset: Dataset, kind: type[Artifact], content: str) -> None:
+    """A network or a reference; nothing here looks into it."""
+    publish_artifact(dataset, kind, "", lambda out: (out / "content").write_text(content))
+
+
+def encode_as_now(dataset: Dataset, item: str, demo: Demo) -> None:
+    """A track that is up to date, but for what was in it before `encode` knew it."""
+    [task] = plan(dataset, encode, only=(item,))
+    demo.publish_track(dataset, item)
+    parts, path = key_parts(task), dataset.path(KeypointTrack, item)
+    seal(
+        path,
+        artifact=KeypointTrack,
+        stage="encode",
+        stage_version=encode.version,
+        params=parts["params"],
+        inputs=parts["inputs"],
+        key=digest_of(parts),
+    )
+
+
+@pytest.fixture
+def tracked(tmp_path: Path) -> tuple[Dataset, dict[str, Demo]]:
+    """Two demonstrations whose keypoints are up to date."""
+    dataset, demos = Dataset.create(tmp_path / "d"), {"a": Demo(0), "b": Demo(1)}
+    for kind in (DescriptorNet, ReferenceKeypoints):
+        put_input(dataset, kind, "first")
+    for name, demo in demos.items():
+        demo.publish(dataset, name)
+        encode_as_now(dataset, name, demo)
+    return dataset, demos
+
+
+def test_keypoints_that_are_not_up_to_date_are_told(tracked, tmp_path: Path) -> None:
+    dataset, demos = tracked
+
+    def notes(out: str) -> list[str]:
+        return export(dataset, tmp_path / out, "parquet", Choice()).notes
+
+    assert notes("new") == []
+    put_input(dataset, DescriptorNet, "second")
+    changed = "the keypoints are not up to date (changed: descriptor/main); see `bask-data status`."
+    assert notes("network") == [f"a, b: {changed}"]
+    encode_as_now(dataset, "a", demos["a"])
+    assert notes("one") == [f"b: {changed}"]
+    encode_as_now(dataset, "b", demos["b"])
+    (dataset.root / "params.yaml").write_text("encode@b:\n  filter: discrete\n")
+    assert notes("parameters") == [
+        "b: the keypoints are not up to date (changed: filter particle -> discrete); see `bask-data status`."
+    ]
+    (dataset.root / "params.yaml").write_text("- encode\n")
+    [note] = notes("broken")
+    assert note.startswith("whether the keypoints are up to date cannot be told: ") and "sections named" in note
+    (dataset.root / "params.yaml").unlink()
+    shutil.rmtree(dataset.path(ReferenceKeypoints))
+    [note] = notes("gone")
+    assert note.startswith("a, b: the keypoints are not up to date (reference/main is missing)")
+
+
+def test_keypoints_of_different_references_are_refused(tracked) -> None:
+    dataset, demos = tracked
+    put_input(dataset, ReferenceKeypoints, "second")
+    assert len(Episodes(dataset, Choice())) == 2
+    encode_as_now(dataset, "b", demos["b"])
+    complaint = r"reference: expected [0-9a-f]{12}, as a was tracked by, got [0-9a-f]{12}\.  fix: bask-data encode"
+    with pytest.raises(BadData, match=complaint):
+        Episodes(dataset, Choice())
+    assert len(Episodes(dataset, Choice(only=("b",)))) == 1
+    encode_as_now(dataset, "a", demos["a"])
+    assert len(Episodes(dataset, Choice())) == 2
 
 
 def differing(root: Path, change: str) -> Dataset:
