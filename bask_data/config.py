@@ -23,7 +23,7 @@ def load_config(
         BadData: the file is no YAML mapping of mappings.
         UsageError: a section or a field that no stage has.
     """
-    config = _from_file(file) if file else {}
+    config = sections_of(file) if file else {}
     for section, values in preset(preset_name, stages).items() if preset_name else ():
         config.setdefault(section, {}).update(values)
         # What the file says of one variant would go over what it says of all, and so over the preset.
@@ -49,7 +49,13 @@ def load_config(
     return config
 
 
-def _from_file(file: Path) -> Config:
+def sections_of(file: Path) -> Config:
+    """What a YAML file says, section by section, not held against what stages know.
+
+    Raises:
+        UsageError: there is no such file.
+        BadData: it is no YAML mapping of mappings.
+    """
     import yaml
 
     try:
@@ -104,7 +110,7 @@ def write_section(file: Path, section: str, values: dict[str, Any]) -> str | Non
     """
     import yaml
 
-    config = _from_file(file) if file.exists() else {}
+    config = sections_of(file) if file.exists() else {}
     wanted = {**config, section: {**config.get(section, {}), **values}}
     before = file.read_bytes().decode() if file.exists() else None
     text = _with_section(before or "", section, wanted[section])

@@ -7,7 +7,7 @@ import re
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-_WORDY = re.compile(r"^(Input should (be )?|Value error, )|, (unable|got) .*$|valid |(?<=items) after validation")
+_WORDY = re.compile(r"^(Input should (be )?|Value error, )|, (unable|got) .*$|\bvalid |(?<=items) after validation")
 _SHORT = {"missing": "a value", "extra_forbidden": "no field of that name"}
 
 

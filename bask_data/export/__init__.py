@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from bask_data.artifact import SCRATCH, list_files, new_scratch, publish, read_json, recover
-from bask_data.config import _from_file
+from bask_data.config import sections_of
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, BaskError, UsageError, WouldOverwrite
 from bask_data.export.episodes import SPLITS, Choice, Episodes
@@ -188,7 +188,7 @@ def _outdated(episodes: Episodes) -> list[str]:
     parameters = dataset.root / "params.yaml"
     names: dict[str, list[str]] = {}
     try:
-        config = _from_file(parameters) if parameters.exists() else {}
+        config = sections_of(parameters) if parameters.exists() else {}
         for task in plan(dataset, encode, config=config, only=encoded, variant=variant):
             state = state_of(task)
             if state.status != "up to date":

@@ -679,7 +679,7 @@ def _break_robot(dataset: Dataset) -> None:
 
 def _break_track(dataset: Dataset) -> None:
     def write(out: Path) -> None:
-        with KeypointTrack.writer(out, names=["a"], filter="particle", cameras=[]) as writer:
+        with KeypointTrack.writer(out, names=["a", "b"], filter="particle", cameras=[]) as writer:
             zeros = np.zeros((2, 3), np.float32)
             writer.append(
                 mean=zeros,
@@ -689,6 +689,9 @@ def _break_track(dataset: Dataset) -> None:
                 log_evidence=np.zeros(2),
                 cameras={},
             )
+        group = json.loads((out / "zarr.json").read_text())
+        group["attributes"]["bask"]["names"] = ["a"]
+        (out / "zarr.json").write_text(json.dumps(group))
 
     publish_artifact(dataset, KeypointTrack, "demo-a", write)
 
