@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from bask_data.core.belief_arrays import from_arrays, to_arrays
 from bask_data.core.geometry import rigid_fault, scale_pixels
 from bask_data.core.heatmap import fitted
 from bask_data.errors import BadData
-from bask_data.kinds import DescriptorNet, ReferenceKeypoints
+from bask_data.kinds import Camera, DescriptorNet, ReferenceKeypoints
 
 if TYPE_CHECKING:
     import torch
@@ -53,6 +53,26 @@ class Keypoints:
     log_evidence: np.ndarray
     pixel: dict[str, np.ndarray]
     observed: dict[str, np.ndarray]
+
+
+class Moment(NamedTuple):
+    """What cameras have recorded of one moment, by their names: what a step is told."""
+
+    images: dict[str, np.ndarray]
+    depths: dict[str, np.ndarray]
+    intrinsics: dict[str, np.ndarray]
+    world_from_cameras: dict[str, np.ndarray]
+
+
+def moment_of(cameras: Iterable[Camera], i_frame: int) -> Moment:
+    """A frame of recorded cameras, as `KeypointTracker.look` and `step` take it."""
+    cameras = list(cameras)
+    return Moment(
+        images={camera.name: camera.rgb(i_frame) for camera in cameras},
+        depths={camera.name: camera.depth(i_frame) for camera in cameras},
+        intrinsics={camera.name: camera.K for camera in cameras},
+        world_from_cameras={camera.name: camera.world_from_cameras[i_frame] for camera in cameras},
+    )
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from bask_data.kinds import Camera, Demonstration, DescriptorNet, Pick, Referenc
 from bask_data.kinds.places import points_on_objects, true_pixels
 from bask_data.progress import progress
 from bask_data.stages.encode import cameras_of, grippers_of
-from bask_data.tracker import Keypoints, KeypointTracker
+from bask_data.tracker import Keypoints, KeypointTracker, moment_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -264,15 +264,10 @@ def _tracked(
     }
     grippers, found = grippers_of(demonstration, len(tracked.places)), {name: list[Keypoints]() for name in trackers}
     for i_frame in progress(range(len(tracked.places)), f"tracking in {name}"):
-        frame = (
-            {camera.name: camera.rgb(i_frame) for camera in cameras},
-            {camera.name: camera.depth(i_frame) for camera in cameras},
-            {camera.name: camera.K for camera in cameras},
-            {camera.name: camera.world_from_cameras[i_frame] for camera in cameras},
-        )
+        moment = moment_of(cameras, i_frame)
         for variant in networks:
             mine = [method.name for method in methods if method.variant == variant]
-            look = trackers[mine[0]].look(*frame)
+            look = trackers[mine[0]].look(*moment)
             _count(tracked, variant, one.truth, look.observations[cameras[0].name].distance, i_frame)
             for method in mine:
                 found[method].append(trackers[method].update(look, None if grippers is None else grippers[i_frame]))

@@ -8,8 +8,9 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
+from itertools import compress
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from pydantic import Field, field_validator
 
@@ -272,28 +273,15 @@ def _clear(out: Path) -> None:
         shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
-class _Frames(NamedTuple):
-    """What the cameras that are looked at have recorded of one moment, by their names."""
-
-    images: dict[str, np.ndarray]
-    depths: dict[str, np.ndarray]
-    intrinsics: dict[str, np.ndarray]
-    world_from_cameras: dict[str, np.ndarray]
-
-
 def _looks(tracker: KeypointTracker, cameras: list[Camera], shown: np.ndarray, begin: int) -> Iterator[Look]:
     """What each frame says, from `begin` on: one thread reads, one describes, while the caller filters."""
 
-    def read(i_frame: int) -> _Frames:
-        used = [camera for camera, is_shown in zip(cameras, shown[i_frame], strict=True) if is_shown]
-        return _Frames(
-            images={camera.name: camera.rgb(i_frame) for camera in used},
-            depths={camera.name: camera.depth(i_frame) for camera in used},
-            intrinsics={camera.name: camera.K for camera in used},
-            world_from_cameras={camera.name: camera.world_from_cameras[i_frame] for camera in used},
-        )
+    from bask_data.tracker import Moment, moment_of
 
-    return _ahead(lambda frames: tracker.look(*frames), _ahead(read, range(begin, len(shown))))
+    def read(i_frame: int) -> Moment:
+        return moment_of(compress(cameras, shown[i_frame]), i_frame)
+
+    return _ahead(lambda moment: tracker.look(*moment), _ahead(read, range(begin, len(shown))))
 
 
 def _ahead(function: Callable[[A], B], items: Iterable[A]) -> Iterator[B]:

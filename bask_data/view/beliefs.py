@@ -6,6 +6,7 @@ A track does not keep it, so the demonstration is tracked again.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from bask_data.progress import progress
 from bask_data.report.figures import find, input_variant
 from bask_data.report.pictures import heat_picture, palette
 from bask_data.stages.encode import EncodeParams, cameras_of, dropped, grippers_of, settings_of
-from bask_data.tracker import Keypoints, KeypointTracker
+from bask_data.tracker import KeypointTracker, moment_of
 from bask_data.view import Choice
 from bask_data.view.sheet import CORNER, Drawn, Sheet, jpeg, reading
 
@@ -47,7 +48,8 @@ def draw_beliefs(sheet: Sheet, drawn: Drawn, dataset: Dataset, demonstration: De
         shown = ~dropped(cameras[0].n_frames, len(cameras), params.dropout, params.seed)
         is_same = True
         for i_frame in progress(range(len(track.mean)), f"tracking again in {sheet.item}"):
-            found = _step(tracker, cameras, shown[i_frame], i_frame, None if grippers is None else grippers[i_frame])
+            moment = moment_of(compress(cameras, shown[i_frame]), i_frame)
+            found = tracker.step(*moment, None if grippers is None else grippers[i_frame])
             is_same &= np.allclose(found.mean, track.mean[i_frame], atol=SAME, equal_nan=True)
             if i_frame % choice.every == 0:
                 time = cameras[0].time
@@ -65,19 +67,6 @@ def _tracker(dataset: Dataset, track: KeypointTrack, variant: str) -> tuple[Keyp
     if params.source == "truth" or descriptor is None or reference is None:
         return None, params
     return KeypointTracker(descriptor, reference, settings_of(params), params.seed, cameras=track.camera_names), params
-
-
-def _step(
-    tracker: KeypointTracker, cameras: Sequence[Camera], shown: np.ndarray, i_frame: int, gripper: np.ndarray | None
-) -> Keypoints:
-    used = [camera for camera, is_shown in zip(cameras, shown, strict=True) if is_shown]
-    return tracker.step(
-        {camera.name: camera.rgb(i_frame) for camera in used},
-        {camera.name: camera.depth(i_frame) for camera in used},
-        {camera.name: camera.K for camera in used},
-        {camera.name: camera.world_from_cameras[i_frame] for camera in used},
-        gripper,
-    )
 
 
 def _draw(
