@@ -31,6 +31,7 @@ from bask_data.nn.filters.frames import (
     TensorObservation,
     n_keypoints,
     nothing_known,
+    project,
     projections,
     transform,
     unproject,
@@ -145,11 +146,10 @@ def _look(
 ) -> _Look:
     tau = _tau(seen, settings, usual_match)
     height, width = seen.depth.shape
-    x, y, x_d = ((points - seen.world_from_camera[:3, 3]) @ seen.world_from_camera[:3, :3]).unbind(-1)
-    K = seen.K
-    u = K[0, 0] * x / x_d + K[0, 1] * y / x_d + K[0, 2]
-    v = K[1, 1] * y / x_d + K[1, 2]
-    inside = (x_d > 0) & (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)
+    points_camera = (points - seen.world_from_camera[:3, 3]) @ seen.world_from_camera[:3, :3]
+    x_d, (u, v) = points_camera[..., 2], project(points_camera, seen.K).unbind(-1)
+    # NaN behind the camera, which no comparison holds for.
+    inside = (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)
     u, v, x_d = (torch.where(inside, one, torch.zeros_like(one)) for one in (u, v, x_d))
     z_d = seen.depth[v.round().long().clamp(0, height - 1), u.round().long().clamp(0, width - 1)]
     sigma = settings.depth_noise * x_d + settings.depth_noise_floor
