@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
+from bask_data.core.geometry import scale_intrinsics
 from bask_data.core.heatmap import LIFT_RADIUS, POSITION_VARIANCE, ExpectationSettings, fill_depth, shrink_depth
 from bask_data.nn.filters.frames import (
     TensorEstimate,
@@ -73,12 +74,9 @@ def expectation_step(
 def view_of(seen: TensorObservation, size: tuple[int, int]) -> View:
     """The camera's view at a resolution (height, width). Depth is shrunk and filled on the CPU, as for arrays."""
     depth = shrink_depth(seen.depth.cpu().numpy(), size)
-    factor = seen.K.new_tensor([size[1] / seen.depth.shape[1], size[0] / seen.depth.shape[0]])
-    K = seen.K.clone()
-    K[:2] *= factor[:, None]
-    K[:2, 2] = (seen.K[:2, 2] + 0.5) * factor - 0.5
-    here, filled = (torch.as_tensor(one, device=K.device) for one in (depth, fill_depth(depth)))
-    return View(here, filled, K, seen.world_from_camera)
+    K = scale_intrinsics(seen.K.cpu().numpy(), (seen.depth.shape[0], seen.depth.shape[1]), size)
+    here, filled, K_here = (torch.as_tensor(one, device=seen.K.device) for one in (depth, fill_depth(depth), K))
+    return View(here, filled, K_here, seen.world_from_camera)
 
 
 def softmax_map(
