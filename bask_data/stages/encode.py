@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from bask_data.core.bayes_filter import Settings
-    from bask_data.core.heatmap import Motion
     from bask_data.tracker import KeypointTracker, Look
 
 A = TypeVar("A")
@@ -194,16 +193,6 @@ def grippers_of(demonstration: Demonstration, n_frames: int) -> np.ndarray | Non
             fix="ingest the demonstration again.",
         )
     return robot.world_from_gripper
-
-
-def gripper_motions(demonstration: Demonstration, n_frames: int) -> list[Motion | None]:
-    """The gripper's motion before each frame; None before the first, and without a record of it."""
-    from bask_data.core.heatmap import Motion
-
-    grippers = grippers_of(demonstration, n_frames)
-    if grippers is None:
-        return [None] * n_frames
-    return [None, *(Motion(grippers[i - 1], grippers[i]) for i in range(1, n_frames))]
 
 
 def dropped(n_frames: int, n_cameras: int, dropout: float, seed: int) -> np.ndarray:
