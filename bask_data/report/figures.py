@@ -17,12 +17,11 @@ from bask_data.dataset import Dataset
 from bask_data.errors import BadData, BaskError
 from bask_data.evaluation.keypoint_study import FILE
 from bask_data.evaluation.masks import count_masks, label_groups
-from bask_data.evaluation.places import known_of, places_of
+from bask_data.evaluation.places import known, known_of, places_of
 from bask_data.kinds import (
     KINDS,
     Camera,
     Correspondences,
-    Demonstration,
     DescriptorNet,
     KeypointTrack,
     ObjectInstances,
@@ -30,7 +29,6 @@ from bask_data.kinds import (
     Reconstruction,
     Recording,
     ReferenceKeypoints,
-    Scan,
     Truth,
     VisibleMasks,
 )
@@ -71,11 +69,8 @@ def find(dataset: Dataset, kind: type[A], item: str = "", variant: str = "main")
 
 def find_recording(dataset: Dataset, item: str) -> Recording | None:
     """A scan or demonstration by name; None for names that are no item, as those in strangers' files may be."""
-    if item in dataset.file.scenes:
-        return find(dataset, Scan, item)
-    if item in dataset.file.demonstrations:
-        return find(dataset, Demonstration, item)
-    return None
+    found = known(dataset, item)
+    return None if found is None else found.recording
 
 
 def find_truth(dataset: Dataset, item: str) -> Truth | None:
