@@ -24,7 +24,7 @@ from bask_data import __version__
 from bask_data.config import load_config
 from bask_data.console import say, show_error, show_outcome, shown_progress
 from bask_data.dataset import DATASET, Dataset, Splits, Variant
-from bask_data.errors import BaskError, MissingDependency, UsageError
+from bask_data.errors import BaskError, MissingDependency, UsageError, imported
 from bask_data.export import FormatName
 from bask_data.formats import FORMATS, Format
 from bask_data.params import Params, first_fault
@@ -228,13 +228,7 @@ def _model_values(model: type[Params], options: dict[str, Any], where: str) -> P
 def _executor(jobs: int, cluster: str) -> Iterator[Executor | None]:
     """Where items are worked on: here, in a pool of processes, or on a Dask cluster."""
     if cluster:
-        try:
-            from distributed import Client
-        except ImportError:
-            raise MissingDependency(
-                "--cluster", "distributed", expected="Dask", got="none", fix="pip install 'bask-data[cluster]'"
-            ) from None
-        with Client(cluster) as client:
+        with imported("distributed", "Dask", user="--cluster", extra="cluster").Client(cluster) as client:
             yield client.get_executor()
     elif jobs > 1:
         from concurrent.futures import ProcessPoolExecutor

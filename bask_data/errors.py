@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 
 class BaskError(Exception):
@@ -77,3 +79,21 @@ class MissingDependency(BaskError):
     """A package or system library is not installed."""
 
     exit_code = 5
+
+
+def imported(module: str, what: str, *, user: str, extra: str) -> ModuleType:
+    """A module of a package that not everybody needs.
+
+    Args:
+        what: the package as people call it, or what it is.
+        user: the command or option that cannot do without.
+        extra: of ours that brings it.
+
+    Raises:
+        MissingDependency: it, or a package that it needs itself, is not installed.
+    """
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        fix = f"pip install 'bask-data[{extra}]'"
+        raise MissingDependency(user, error.name or module, expected=what, got="none", fix=fix) from None

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from bask_data.errors import MissingDependency
+from bask_data.errors import imported
 from bask_data.export import FILE
 from bask_data.export.episodes import Episode, Episodes
 from bask_data.export.images import blocks
@@ -29,13 +29,7 @@ NO_ENVIRONMENT = 2
 
 def import_h5py() -> ModuleType:
     """The module `h5py`; `MissingDependency` where it is not installed."""
-    try:
-        import h5py
-    except ImportError as error:
-        raise MissingDependency(
-            "export", error.name or "h5py", expected="h5py", got="none", fix="pip install 'bask-data[export]'"
-        ) from None
-    return h5py
+    return imported("h5py", "h5py", user="export", extra="export")
 
 
 def write(out: Path, episodes: Episodes) -> list[str]:

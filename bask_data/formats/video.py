@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from bask_data.errors import BaskError, MissingDependency
+from bask_data.errors import BaskError, imported
 
 BT_709, BT_601 = 1, 6
 """FFmpeg's numbers of the colours of high-definition video and of what is older."""
@@ -21,13 +21,7 @@ BT_709, BT_601 = 1, 6
 
 def import_av() -> ModuleType:
     """The module `av`; `MissingDependency` where it is not installed."""
-    try:
-        import av
-    except ImportError as error:
-        raise MissingDependency(
-            "video", error.name or "av", expected="PyAV", got="none", fix="pip install 'bask-data[export]'"
-        ) from None
-    return av
+    return imported("av", "PyAV", user="video", extra="export")
 
 
 class VideoWriter:

@@ -11,7 +11,7 @@ from urllib.parse import parse_qs
 
 from pydantic import ValidationError
 
-from bask_data.errors import BaskError, MissingDependency, UsageError
+from bask_data.errors import BaskError, UsageError, imported
 from bask_data.picker.desk import Desk, Request
 from bask_data.picker.draft import fault_in_json
 
@@ -161,12 +161,9 @@ def serve(desk: Desk, port: int, *, opened: Callable[[str], None]) -> None:
         MissingDependency: the packages for it are not installed.
         UsageError: the port is taken.
     """
-    try:
-        import uvicorn
-    except ImportError:
-        raise MissingDependency(
-            "--pick", "uvicorn", expected="a web server", got="none", fix="pip install 'bask-data[pick]'"
-        ) from None
+    imported("uvicorn", "a web server", user="--pick", extra="pick")
+    import uvicorn
+
     listening = listen(port)
     port = listening.getsockname()[1]
     token = secrets.token_urlsafe(24)

@@ -8,7 +8,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
-from bask_data.errors import MissingDependency
+from bask_data.errors import MissingDependency, imported
 
 NO_GL_FIX = (
     "sudo apt-get install --no-install-recommends libegl1 libegl-mesa0 libgl1-mesa-dri; or, where EGL will not work, "
@@ -23,14 +23,11 @@ def import_mujoco() -> ModuleType:
         MissingDependency: it is not installed, or cannot load what `MUJOCO_GL` names.
     """
     try:
-        import mujoco
-    except ModuleNotFoundError as error:
-        raise MissingDependency(
-            "simulator", error.name or "", expected="MuJoCo", got="none", fix="pip install 'bask-data[sim]'"
-        ) from None
+        return imported("mujoco", "MuJoCo", user="simulator", extra="sim")
+    except MissingDependency:
+        raise
     except Exception as error:
         raise _nothing_to_draw_with(os.environ.get("MUJOCO_GL", ""), error) from error
-    return mujoco
 
 
 def drawing(model: Any) -> tuple[Any, Any]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bask_data.dataset import Dataset
-from bask_data.errors import BaskError, MissingDependency, UsageError, WouldOverwrite
+from bask_data.errors import BaskError, UsageError, WouldOverwrite, imported
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -59,12 +59,7 @@ class Shown:
 
 def require_rerun() -> None:
     """Refuse to begin without the package; `MissingDependency`."""
-    try:
-        import rerun  # noqa: F401
-    except ImportError:
-        raise MissingDependency(
-            "view", "rerun", expected="the Rerun SDK", got="none", fix="pip install 'bask-data[view]'"
-        ) from None
+    imported("rerun", "the Rerun SDK", user="view", extra="view")
 
 
 def save_recording(dataset: Dataset, file: Path, choice: Choice, *, force: bool = False) -> dict[str, Shown]:
