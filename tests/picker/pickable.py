@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from bask_data.dataset import Dataset
 from bask_data.kinds import Demonstration, DescriptorNet, Recording, Scan
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings
 from bask_data.picker.gallery import FrameName
-from tests.datasets import publish_artifact, publish_recording
+from tests.datasets import publish_artifact
 from tests.nn import pairs
-from tests.stages.learning import learning_dataset
+from tests.stages.learning import learning_dataset, publish_views
 
 N_VIEWS = 4
 HEIGHT, WIDTH = pairs.SIZE
@@ -28,15 +27,7 @@ def pickable_dataset(root: Path) -> Dataset:
     """Scans `a` and `b` with masks, a demonstration `lift`, and a network."""
     dataset = learning_dataset(root, ("a", "b"), n_views=N_VIEWS)
     _, world_from_cameras, images = pairs.views(2, 7)
-    publish_recording(
-        dataset,
-        "lift",
-        rgb=[image.rgb for image in images],
-        depth=[np.minimum(image.depth, 6.0) for image in images],
-        K=pairs.K,
-        world_from_cameras=world_from_cameras,
-        kind=Demonstration,
-    )
+    publish_views(dataset, "lift", pairs.K, world_from_cameras, images, Demonstration)
 
     def fill(out: Path) -> None:
         untrained().save(out)

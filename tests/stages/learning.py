@@ -9,7 +9,7 @@ import numpy as np
 
 from bask_data.core.geometry import view_change
 from bask_data.dataset import Dataset
-from bask_data.kinds import Correspondences, PairRow, VisibleMasks
+from bask_data.kinds import Correspondences, Demonstration, PairRow, Scan, VisibleMasks
 from bask_data.nn.sampling import Pair
 from tests.datasets import publish_artifact, publish_recording
 from tests.nn import pairs
@@ -45,6 +45,26 @@ def learning_dataset(root: Path, scenes: tuple[str, ...] = ("a",), n_views: int 
     return dataset
 
 
+def publish_views(
+    dataset: Dataset,
+    item: str,
+    K: np.ndarray,
+    world_from_cameras: np.ndarray,
+    views: Sequence[View],
+    kind: type[Scan] | type[Demonstration] = Scan,
+) -> None:
+    """Enter views as a recording, with depth as far as sensors measure it."""
+    publish_recording(
+        dataset,
+        item,
+        rgb=[view.rgb for view in views],
+        depth=[np.minimum(view.depth, 6.0) for view in views],
+        K=K,
+        world_from_cameras=world_from_cameras,
+        kind=kind,
+    )
+
+
 def publish_learning(
     dataset: Dataset,
     item: str,
@@ -54,14 +74,7 @@ def publish_learning(
     matched: dict[tuple[int, int], Pair],
 ) -> None:
     """Enter views as a scan with their masks, and what matches between some of them."""
-    publish_recording(
-        dataset,
-        item,
-        rgb=[view.rgb for view in views],
-        depth=[np.minimum(view.depth, 6.0) for view in views],
-        K=K,
-        world_from_cameras=world_from_cameras,
-    )
+    publish_views(dataset, item, K, world_from_cameras, views)
     n_objects = max(int(view.instance.max()) for view in views)
 
     def fill_masks(out: Path) -> None:

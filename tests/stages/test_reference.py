@@ -15,9 +15,9 @@ from bask_data.kinds import Demonstration, DescriptorNet, ReferenceKeypoints, Sc
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings
 from bask_data.stage import make, plan, state_of
 from bask_data.stages.reference import as_text, parsed, reference
-from tests.datasets import publish_artifact, publish_recording
+from tests.datasets import publish_artifact
 from tests.nn import pairs
-from tests.stages.learning import learning_dataset
+from tests.stages.learning import learning_dataset, publish_views
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -112,15 +112,7 @@ def test_points_by_hand_may_lie_in_demonstrations(dataset, tmp_path):
     copy = Dataset(shutil.copytree(dataset.root, tmp_path / "copy"))
     _, world_from_cameras, images = pairs.views(2, 7)
     images[1].depth[20, 30] = 0
-    publish_recording(
-        copy,
-        "lift",
-        rgb=[image.rgb for image in images],
-        depth=[np.minimum(image.depth, 6.0) for image in images],
-        K=pairs.K,
-        world_from_cameras=world_from_cameras,
-        kind=Demonstration,
-    )
+    publish_views(copy, "lift", pairs.K, world_from_cameras, images, Demonstration)
     found = keypoints(copy, picks=("lift:wrist:1:40:50:corner", "lift:wrist:1:30:20:hole", "b:wrist:0:40:50"))
     assert [pick.recording for pick in found.picks] == ["lift", "lift", "b"]
     corner, hole, _ = found.picks
