@@ -107,16 +107,19 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
     frames = _frames(scan, params, excluded)
     survey = _survey(scan, frames, params)
     fusion = _fused(scan, frames, survey, params)
-    assessment = _assessed(frames, fusion.notes, fusion.judge, survey.bounds)
-    suspects = {(row.camera, row.frame) for row in assessment.rows if row.suspect}
+    held = _held(frames, fusion.notes, fusion.judge, survey.bounds)
+    suspects = _suspects(frames, held.fits)
     dropped = params.drop_suspects and 0 < len(suspects) <= DROPPED_SHARE * len(frames)
     mesh = fusion.mesh
     if dropped:
         good = [(camera, i_frame) for camera, i_frame in frames if (camera.name, i_frame) not in suspects]
+        del held  # What rays need would stand in memory beside the voxels.
         mesh = _fused(scan, good, survey, params).mesh
     # A single wrong frame among few hides the true surface, so frames are judged by a stricter mesh; what is reported
     # of them is about the one that is kept.
-    assessment = _assessed(frames, fusion.notes, mesh, survey.bounds, suspects, dropped)
+    if mesh is not fusion.judge:
+        held = _held(frames, fusion.notes, mesh, survey.bounds)
+    assessment = _assessed(frames, fusion.notes, held, survey.bounds, suspects, dropped)
     lowest, highest = survey.bounds.tolist()
     Reconstruction.write(
         out,
@@ -398,20 +401,15 @@ class _Assessment:
     unmeasured: list[UnmeasuredRegion]
 
 
-def _assessed(
-    frames: list[FrameOfCamera],
-    notes: list[_Note],
-    mesh: Mesh,
-    bounds: np.ndarray,
-    suspects: set[tuple[str, int]] | None = None,
-    dropped: bool = False,
-) -> _Assessment:
-    """Hold every frame against the mesh.
+@dataclass(frozen=True)
+class _Held:
+    """A mesh ready for rays, and every frame held against it."""
 
-    Args:
-        suspects: frames known to disagree with the others; None to find them.
-        dropped: whether the mesh is without those.
-    """
+    surface: Surface
+    fits: list[Fit]
+
+
+def _held(frames: list[FrameOfCamera], notes: list[_Note], mesh: Mesh, bounds: np.ndarray) -> _Held:
     from bask_data.core import fit
 
     surface = fit.Surface(mesh.vertices, mesh.triangles)
@@ -419,13 +417,29 @@ def _assessed(
         fit.fit(note.sketch, camera.K, camera.world_from_cameras[i_frame], surface, bounds)
         for (camera, i_frame), note in zip(frames, notes, strict=True)
     ]
-    known = suspects if suspects is not None else _suspects(frames, fits)
+    return _Held(surface, fits)
+
+
+def _assessed(
+    frames: list[FrameOfCamera],
+    notes: list[_Note],
+    held: _Held,
+    bounds: np.ndarray,
+    suspects: set[tuple[str, int]],
+    dropped: bool,
+) -> _Assessment:
+    """What is told of the mesh and the frames that were held against it.
+
+    Args:
+        suspects: frames that disagree with the others.
+        dropped: whether the mesh is without those.
+    """
     rows = [
         FrameRow(
             camera=camera.name,
             frame=i_frame,
-            fused=note.fused and not (dropped and (camera.name, i_frame) in known),
-            suspect=(camera.name, i_frame) in known,
+            fused=note.fused and not (dropped and (camera.name, i_frame) in suspects),
+            suspect=(camera.name, i_frame) in suspects,
             valid_depth=note.valid_depth,
             n_judged=one.n_judged,
             explained=one.explained,
@@ -433,9 +447,11 @@ def _assessed(
             residual_abs=one.residual_abs,
             from_behind=one.from_behind,
         )
-        for (camera, i_frame), note, one in zip(frames, notes, fits, strict=True)
+        for (camera, i_frame), note, one in zip(frames, notes, held.fits, strict=True)
     ]
-    return _Assessment(rows, surface.area_from_behind, _unmeasured(frames, notes, surface, bounds))
+    # Asked before more rays are cast, whose hits would count.
+    from_behind = held.surface.area_from_behind
+    return _Assessment(rows, from_behind, _unmeasured(frames, notes, held.surface, bounds))
 
 
 def _suspects(frames: list[FrameOfCamera], fits: list[Fit]) -> set[tuple[str, int]]:
