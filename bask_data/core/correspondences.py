@@ -17,6 +17,7 @@ from numba import njit
 from numpy import ndarray
 
 from bask_data.core.compiled import compiled
+from bask_data.core.depth import SIGMA_FROM_MAD
 from bask_data.core.geometry import invert_rigid, unproject
 
 REJECTIONS = (
@@ -55,7 +56,6 @@ SIGNIFICANT = 2.5
 """The surface is corrected where the measurements around differ from it by so many standard errors of their mean."""
 MIN_MEASUREMENTS = 3
 TINY = np.float32(1e-12)
-SIGMA_FROM_MAD = 1.4826
 N_INSTANCES = 256
 
 

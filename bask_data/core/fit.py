@@ -9,7 +9,7 @@ import open3d as o3d
 from jaxtyping import Bool, Float, Float32, Int, Int32, UInt8
 from numpy import ndarray
 
-from bask_data.core.depth import DEPTH_SLACK
+from bask_data.core.depth import DEPTH_SLACK, SIGMA_FROM_MAD
 from bask_data.core.geometry import unproject
 
 LEAST_JUDGED = 50
@@ -195,7 +195,7 @@ def _around(values: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
 def _median_and_deviation(values: Float[ndarray, "n"]) -> tuple[float, float]:
     """The median, and the standard deviation that a normal distribution of that median deviation would have."""
     median = float(np.median(values))
-    return median, 1.4826 * float(np.median(np.abs(values - median)))
+    return median, SIGMA_FROM_MAD * float(np.median(np.abs(values - median)))
 
 
 def _share(part: Bool[ndarray, "n"], whole: Bool[ndarray, "n"]) -> float:

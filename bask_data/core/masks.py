@@ -15,6 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from bask_data.core.compiled import compiled
 from bask_data.core.completion import Completion
+from bask_data.core.depth import SIGMA_FROM_MAD
 from bask_data.core.geometry import invert_rigid, pixel_grid, project, transform, unproject
 
 MAX_INSTANCES = 255
@@ -32,9 +33,6 @@ MESH_ERROR = 3.5
 
 MOST_TOLERANCE = (0.04, 0.06)
 """Limits of (a, b): beyond them a hand before an object would count as its surface, whatever the sensor's noise."""
-
-GAUSSIAN = 1.4826
-"""Standard deviation over median magnitude of Gaussian noise."""
 
 N_RESIDUALS_LEAST = 400
 """Fewer residuals say nothing of a sensor's noise."""
@@ -594,7 +592,7 @@ def noise(samples: Float32[ndarray, "n 2"], n_bins: int = 8) -> tuple[float, flo
     filled = [i for i in range(n_bins) if np.count_nonzero(i_bin == i) >= N_RESIDUALS_LEAST // n_bins // 2]
     centre = np.array([np.median(z[i_bin == i]) for i in filled])
     # About the median: what mesh and measurement differ by everywhere is an error of the mesh.
-    sigma = np.array([GAUSSIAN * np.median(np.abs(off[i_bin == i] - np.median(off[i_bin == i]))) for i in filled])
+    sigma = np.array([SIGMA_FROM_MAD * np.median(np.abs(off[i_bin == i] - np.median(off[i_bin == i]))) for i in filled])
     (a, b), _ = nnls(np.stack([np.ones(len(centre)), centre], axis=1), sigma)
     return float(a), float(b)
 

@@ -14,8 +14,8 @@ from numpy import ndarray
 from scipy.ndimage import label
 from scipy.spatial import ConvexHull, QhullError
 
-SIGMA_FROM_MAD = 1.4826
-"""Standard deviation of a normal distribution per median absolute deviation."""
+from bask_data.core.depth import SIGMA_FROM_MAD
+
 SAME_FACING = np.cos(np.deg2rad(30.0))
 """Vertices whose normal is further from the plane's belong to something that cuts through it, not to the plane."""
 N_HYPOTHESES = 8192
