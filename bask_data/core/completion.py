@@ -15,6 +15,7 @@ from numpy import ndarray
 from scipy.spatial import ConvexHull, QhullError
 
 from bask_data.core.geometry import in_image, invert_rigid, project, transform
+from bask_data.core.rays import ray_scene
 
 N_CELLS = 48
 """Cells along the longest side of an object, at most; more would show no finer than a few pixels."""
@@ -103,11 +104,8 @@ class Completion:
         start = np.cumsum([0, *(len(points) for points, _ in parts)])
         triangles = [faces + begin for (_, faces), begin in zip(parts, start[:-1], strict=True)]
         if len(self._face_label) > 1:
-            self._scene = o3d.t.geometry.RaycastingScene()
-            self._scene.add_triangles(
-                o3d.core.Tensor.from_numpy(np.concatenate([points for points, _ in parts]).astype(np.float32)),
-                o3d.core.Tensor.from_numpy(np.concatenate(triangles).astype(np.uint32)),
-            )
+            vertices = np.concatenate([points for points, _ in parts]).astype(np.float32)
+            self._scene = ray_scene(vertices, np.concatenate(triangles))
 
     def hit(self, rays: Float32[ndarray, "n 6"]) -> tuple[Float32[ndarray, "n"], UInt8[ndarray, "n"]]:
         """Ray parameter of the first cell that may be solid (infinity: none), and its instance (0: none)."""

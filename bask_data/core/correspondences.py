@@ -19,6 +19,7 @@ from numpy import ndarray
 from bask_data.core.compiled import compiled
 from bask_data.core.depth import SIGMA_FROM_MAD
 from bask_data.core.geometry import invert_rigid, unproject
+from bask_data.core.rays import ray_scene
 
 REJECTIONS = (
     "outside_b",
@@ -107,11 +108,7 @@ class Surface:
     """A mesh that rays can be cast against."""
 
     def __init__(self, vertices: Float32[ndarray, "n 3"], triangles: Int[ndarray, "m 3"]) -> None:
-        self._scene = o3d.t.geometry.RaycastingScene()
-        tensor = o3d.core.Tensor.from_numpy
-        self._scene.add_triangles(
-            tensor(np.ascontiguousarray(vertices)), tensor(np.ascontiguousarray(triangles, dtype=np.uint32))
-        )
+        self._scene = ray_scene(vertices, triangles)
 
     def cast(
         self, uv: Float[ndarray, "n 2"], K: Float[ndarray, "3 3"], world_from_camera: Float[ndarray, "4 4"]

@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from bask_data.core.depth import DEPTH_SLACK, SIGMA_FROM_MAD
 from bask_data.core.geometry import unproject
+from bask_data.core.rays import ray_scene
 
 LEAST_JUDGED = 50
 """Rays of a frame below which nothing is said of it, and frames below which none stands out."""
@@ -56,10 +57,7 @@ class Surface:
     """A mesh ready for rays, and which of its triangles they met from the front and from behind."""
 
     def __init__(self, vertices: Float32[ndarray, "n 3"], triangles: Int32[ndarray, "m 3"]) -> None:
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(
-            o3d.core.Tensor.from_numpy(vertices), o3d.core.Tensor.from_numpy(triangles.astype(np.uint32))
-        )
+        self._scene = ray_scene(vertices, triangles)
         corners = vertices[triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self._area = np.linalg.norm(normals, axis=1) / 2

@@ -17,6 +17,7 @@ from bask_data.core.compiled import compiled
 from bask_data.core.completion import Completion
 from bask_data.core.depth import SIGMA_FROM_MAD
 from bask_data.core.geometry import invert_rigid, pixel_grid, project, transform, unproject
+from bask_data.core.rays import ray_scene
 
 MAX_INSTANCES = 255
 """Label images are 8-bit."""
@@ -107,7 +108,7 @@ class Surface:
         self.n_instances = n_instances
         self.colors = colors
         self._triangles = triangles
-        self._scene = _scene(vertices, triangles)
+        self._scene = ray_scene(vertices, triangles)
         self._corner_label = vertex_instance[triangles].astype(np.uint8)
         majority = _majority(self._corner_label)
         uniform = (self._corner_label == self._corner_label[:, :1]).all(axis=1)
@@ -119,7 +120,7 @@ class Surface:
             # Rays hit every triangle that has a corner of the instance, so its outline has to hold those too.
             near = triangles[(self._corner_label == label).any(axis=1)]
             self._outlines.append(_hull(vertices[np.unique(near)]))
-            self._alone.append(_scene(vertices, own) if len(own) else None)
+            self._alone.append(ray_scene(vertices, own) if len(own) else None)
 
     def cast(self, rays: Float32[ndarray, "n 6"]) -> tuple[Float32[ndarray, "n"], UInt8[ndarray, "n"]]:
         """Ray parameter of the first hit (infinity: none), and the instance there, of rays (origin, direction).
@@ -178,15 +179,6 @@ class Surface:
         rows = slice(int(np.clip(top, 0, height)), int(np.clip(bottom, 0, height)))
         columns = slice(int(np.clip(left, 0, width)), int(np.clip(right, 0, width)))
         return rows, columns
-
-
-def _scene(vertices: Float32[ndarray, "n 3"], triangles: Int32[ndarray, "m 3"]) -> o3d.t.geometry.RaycastingScene:
-    scene = o3d.t.geometry.RaycastingScene()
-    from_numpy = o3d.core.Tensor.from_numpy
-    scene.add_triangles(
-        from_numpy(np.ascontiguousarray(vertices)), from_numpy(np.ascontiguousarray(triangles, dtype=np.uint32))
-    )
-    return scene
 
 
 def world_rays(
