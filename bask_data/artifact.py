@@ -226,12 +226,15 @@ def write_json_atomically(file: Path, value: object) -> None:
 
 
 def write_text_atomically(file: Path, text: str) -> None:
-    """Replace a text file in one step: readers see the old one or the new one."""
+    """Replace a text file in one step: readers see the old one or the new one. What fails leaves nothing beside it."""
     file.parent.mkdir(parents=True, exist_ok=True)
     temporary = file.with_name(f".{file.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
-    temporary.write_text(text, encoding="utf-8")
-    _sync(temporary)
-    os.replace(temporary, file)
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        _sync(temporary)
+        os.replace(temporary, file)
+    finally:
+        temporary.unlink(missing_ok=True)
     _sync(file.parent)
 
 

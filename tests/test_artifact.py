@@ -8,7 +8,15 @@ from pathlib import Path
 import pytest
 
 from bask_data import artifact
-from bask_data.artifact import new_scratch, publish, read_json, read_manifest, recover, write_json_atomically
+from bask_data.artifact import (
+    new_scratch,
+    publish,
+    read_json,
+    read_manifest,
+    recover,
+    write_json_atomically,
+    write_text_atomically,
+)
 from bask_data.errors import BadData
 
 
@@ -84,6 +92,22 @@ def test_json_is_replaced_whole(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="not JSON compliant"):
         write_json_atomically(file, {"a": float("nan")})
     assert read_json(file) == {"a": 1}
+
+
+def test_a_text_that_cannot_be_written_leaves_the_old_one_and_nothing_else(tmp_path: Path) -> None:
+    file = tmp_path / "file.json"
+    write_text_atomically(file, "old")
+    with pytest.raises(UnicodeEncodeError):
+        write_text_atomically(file, "\ud800")
+    assert [(one, one.read_text()) for one in tmp_path.iterdir()] == [(file, "old")]
+
+
+def test_a_text_that_cannot_take_its_place_leaves_nothing_beside_it(tmp_path: Path) -> None:
+    folder = tmp_path / "file.json"
+    folder.mkdir()
+    with pytest.raises(OSError, match=r"file\.json"):
+        write_text_atomically(folder, "new")
+    assert list(tmp_path.iterdir()) == [folder]
 
 
 @pytest.mark.parametrize(
