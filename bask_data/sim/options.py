@@ -29,7 +29,10 @@ class SimOptions(Params):
         None, ge=0, description="Another table and floor, by this seed. Default: boards and tiles, by --seed."
     )
     distance_spread: FiniteFloat = Field(
-        0.22, ge=0, le=0.4, description="Share by which the distance of a scan's camera varies: 0.4 is 2.3 to 1."
+        0.22, ge=0, le=0.6, description="Share by which the distance of a scan's camera varies: 0.6 is 4 to 1."
+    )
+    finished: FiniteFloat = Field(
+        0.0, ge=0, le=1, description="Share of the scans that show the objects as the finished task leaves them."
     )
     cameras: tuple[CameraName, ...] = Field(("wrist", "overhead"), min_length=1, description="Cameras, by commas.")
     frames: int = Field(60, ge=1, description="Frames of a scan. A demonstration is as long as it takes.")

@@ -9,16 +9,16 @@ from numpy import ndarray
 from bask_data.core.geometry import invert_rigid
 from bask_data.sim import gripper
 from bask_data.sim.take import Take
-from bask_data.sim.world import World
+from bask_data.sim.world import Layout, World
 
 FRAMES_PER_SECOND = 10.0
 ELEVATION = (np.radians(24.0), np.radians(78.0))
 TURNS = 2.25
 
 
-def scan(world: World, rng: np.random.Generator) -> Take:
-    """Lay the scene out and move the camera around it."""
-    layout = world.lay_out(rng)
+def scan(world: World, rng: np.random.Generator, layout: Layout | None = None) -> Take:
+    """Move the camera around a scene; without one, a new one is laid out."""
+    layout = layout or world.lay_out(rng)
     world.restore(layout)
     world_from_cameras = camera_path(world, world.options.frames, rng)
     hands = world_from_cameras @ invert_rigid(gripper.gripper_from_camera())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,9 +33,9 @@ FORMAT = "sim"
 MAX_ATTEMPTS = 20
 """Failed demonstrations in a row after which the simulator is at fault, not chance."""
 _SCAN, _DEMONSTRATION = 0, 1
-_ONLY_SCANS = {"frames", "gripper_in_view", "distance_spread"}
+_ONLY_SCANS = {"frames", "gripper_in_view", "distance_spread", "finished"}
 """Options that a demonstration does not depend on."""
-_NOTHING_WHEN_UNSET = {"background_seed", "distance_spread"}
+_NOTHING_WHEN_UNSET = {"background_seed", "distance_spread", "finished"}
 """Options that are left out of a key where they are not set, so that recordings made before there were any are still
 what they would be."""
 
@@ -73,6 +73,12 @@ class Job:
                 "params": self.params,
             }
         )
+
+    @property
+    def shows_finished(self) -> bool:
+        """Whether it is one of the scans of a finished task, which are spread evenly."""
+        share = self.options.finished
+        return self.makes is Scan and int((self.index + 1) * share) > int(self.index * share)
 
     def seed(self, attempt: int = 0) -> list[int]:
         """The seed of its scene and motions. Attempts at a demonstration differ in it."""
@@ -202,10 +208,13 @@ def _take(job: Job, studio: _Studio) -> tuple[Take, int]:
     from bask_data.sim.experts import demonstrate
     from bask_data.sim.scan import scan
 
-    if job.makes is Scan:
+    if job.makes is Scan and not job.shows_finished:
         return scan(studio.world, np.random.default_rng(job.seed())), 0
     for attempt in range(MAX_ATTEMPTS):
-        take = demonstrate(studio.world, np.random.default_rng(job.seed(attempt)))
+        rng = np.random.default_rng(job.seed(attempt))
+        take = demonstrate(studio.world, rng)
+        if take is not None and job.makes is Scan:
+            return scan(studio.world, rng, replace(take.layout, qpos=take.qpos[-1])), attempt
         if take is not None:
             return take, attempt
     raise UsageError(

@@ -150,11 +150,32 @@ def test_options_that_came_later_leave_keys_alone_until_they_are_set() -> None:
         *("clutter", "depth_noise", "flying", "holes", "pose_noise", "gripper_in_view"),
     }
     changed = [
-        Job(Scan, 0, SimOptions(task="lid", **one)) for one in ({"background_seed": 0}, {"distance_spread": 0.3})
+        Job(Scan, 0, SimOptions(task="lid", **one))
+        for one in ({"background_seed": 0}, {"distance_spread": 0.3}, {"finished": 1.0})
     ]
-    assert len({plain.key, *(job.key for job in changed)}) == 3
-    demonstrations = [Job(Demonstration, 0, SimOptions(task="lid", distance_spread=one)).key for one in (0.22, 0.3)]
-    assert demonstrations[0] == demonstrations[1]
+    assert len({plain.key, *(job.key for job in changed)}) == 4
+    demonstrations = [
+        Job(Demonstration, 0, SimOptions(task="lid", **one)).key
+        for one in ({}, {"distance_spread": 0.3}, {"finished": 1.0})
+    ]
+    assert len({*demonstrations}) == 1
+
+
+def test_scans_of_the_finished_task_are_spread_evenly_and_show_what_it_leaves(tmp_path: Path) -> None:
+    made(tmp_path / "d", 4, task="lid", finished=0.5)
+    heights = []
+    for i in range(4):
+        truth = Truth(Dataset(tmp_path / "d").path(Truth, f"lid_scan{i}"))
+        names = truth.metadata.label_names
+        poses = {names[label]: pose for label, pose in truth.metadata.world_from_object.items()}
+        heights.append(poses["lid"][2][3] - poses["saucepan"][2][3])
+        assert bool(truth.metadata.touching) == (i % 2 == 0)
+    assert np.array(heights) == pytest.approx([heights[0], 0, heights[0], 0], abs=0.004)
+    assert heights[0] > 0.05
+    # What a finished scan is does not depend on the others.
+    made(tmp_path / "alone", only=("lid_scan3",), task="lid", finished=0.5)
+    mine = digests(tmp_path / "alone")
+    assert mine == {name: digest for name, digest in digests(tmp_path / "d").items() if name in mine}
 
 
 def test_truth_that_was_lost_comes_again_and_the_recording_stays_the_same(tmp_path: Path) -> None:
