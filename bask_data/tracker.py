@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
     from bask_data.nn.network import DescriptorNetwork
 
+    Described = list[tuple[list[str], torch.Tensor]]
+    """Descriptors at stride 8 of the images of one size, and the names of their cameras."""
+
 
 @dataclass(frozen=True)
 class Keypoints:
@@ -160,14 +163,26 @@ class KeypointTracker:
         """
         return self.update(self.look(images, depths, intrinsics, world_from_cameras), world_from_gripper)
 
+    def describe(self, images: Mapping[str, np.ndarray]) -> Described:
+        """What of a look needs the network, and nearly all of its time. Images of one size are described together."""
+        by_size: dict[tuple[int, ...], list[str]] = {}
+        for name in sorted(images):
+            by_size.setdefault(images[name].shape, []).append(name)
+        return [(names, self._network.cells(np.stack([images[name] for name in names]))) for names in by_size.values()]
+
     def look(
         self,
         images: Mapping[str, np.ndarray],
         depths: Mapping[str, np.ndarray],
         intrinsics: Mapping[str, np.ndarray],
         world_from_cameras: Mapping[str, np.ndarray],
+        described: Described | None = None,
     ) -> Look:
-        """The first half of a step, which needs the network but nothing of the frames before."""
+        """The first half of a step, which needs the network but nothing of the frames before.
+
+        Args:
+            described: what `describe` gave for these images.
+        """
         # Copies: a robot may fill the same arrays again, and a belief remembers the frame before.
         K = {name: np.array(intrinsics[name], dtype=np.float64) for name in images if name in intrinsics}
         poses = {
@@ -175,7 +190,7 @@ class KeypointTracker:
         }
         for name, image in images.items():
             _check(name, image, depths.get(name), K.get(name), poses.get(name))
-        distances = self._distances(images)
+        distances = self._distances(self.describe(images) if described is None else described)
         return Look(
             observations={
                 name: fitted(
@@ -271,15 +286,11 @@ class KeypointTracker:
         self._world_from_gripper = world_from_gripper
         return None if before is None else Motion(before, world_from_gripper)
 
-    def _distances(self, images: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Distance maps (k, h', w') of each image; those of one size are described together."""
+    def _distances(self, described: Described) -> dict[str, np.ndarray]:
+        """Distance maps (k, h', w') of each image."""
         found: dict[str, np.ndarray] = {}
-        by_size: dict[tuple[int, ...], list[str]] = {}
-        for name in sorted(images):
-            by_size.setdefault(images[name].shape, []).append(name)
-        for names in by_size.values():
-            maps = self._network.distance_maps(np.stack([images[name] for name in names]), self._references)
-            found |= dict(zip(names, maps, strict=True))
+        for names, cells in described:
+            found |= dict(zip(names, self._network.maps(cells, self._references), strict=True))
         return found
 
 

@@ -48,7 +48,13 @@ class Colours:
         self.settings = SimpleNamespace(descriptor_dim=3)
         self._factor = 0.0 if is_blind else 0.1
 
+    def cells(self, rgb: np.ndarray) -> np.ndarray:
+        return rgb
+
     def distance_maps(self, rgb: np.ndarray, references: np.ndarray) -> np.ndarray:
+        return self.maps(self.cells(rgb), references)
+
+    def maps(self, rgb: np.ndarray, references: np.ndarray) -> np.ndarray:
         away = self._factor * rgb.astype(np.float32)[..., None, :, :, :] - references[:, None, None]
         return (np.linalg.norm(away, axis=-1) / np.sqrt(3)).astype(np.float32)
 

@@ -127,14 +127,20 @@ class DescriptorNetwork(nn.Module):
         scaled = scale_pixels(uv.astype(np.float64), size, self.input_size(size)).astype(np.float32)
         return sampled(self.cells(rgb)[None], torch.from_numpy(scaled).to(self.device)[None])[0]
 
-    @torch.inference_mode()
     def distance_maps(
         self, rgb: UInt8[ndarray, "*b h w 3"], references: Float[ndarray, "k d"]
     ) -> Float[ndarray, "*b k h2 w2"]:
         """Descriptor distance z of every pixel of the resized image to each reference."""
-        cells, wanted = self.cells(rgb), torch.from_numpy(references).to(self.device)
-        found = maps_of_cells(cells if rgb.ndim == 4 else cells[None], wanted).cpu().numpy()
-        return found if rgb.ndim == 4 else found[0]
+        return self.maps(self.cells(rgb), references)
+
+    @torch.inference_mode()
+    def maps(
+        self, cells: Float[Tensor, "*b d h8 w8"], references: Float[ndarray, "k d"]
+    ) -> Float[ndarray, "*b k h2 w2"]:
+        """What `distance_maps` gives for the image that `cells` were computed from."""
+        batch = cells if cells.ndim == 4 else cells[None]
+        found = maps_of_cells(batch, torch.from_numpy(references).to(cells.device)).cpu().numpy()
+        return found if cells.ndim == 4 else found[0]
 
     def scaled_intrinsics(self, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Float[ndarray, "3 3"]:
         """Intrinsics of the resized image, for an image of `size`."""

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from bask_data.core.bayes_filter import Settings
-    from bask_data.tracker import KeypointTracker, Look
+    from bask_data.kinds.keypoints import KeypointsWriter
+    from bask_data.tracker import Described, Keypoints, KeypointTracker, Moment
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -35,8 +36,8 @@ MOST_CELLS = 4096
 """Rows or columns of a belief: more than any image has."""
 
 AHEAD = 2
-"""Frames read and described ahead of the filter, by a thread each: enough for all to be busy, few enough for any size
-of image."""
+"""Frames read before they are described, and described before they are filtered: enough for all threads to be busy, few
+enough for any size of image."""
 
 
 class EncodeParams(Params):
@@ -221,21 +222,19 @@ def _track(
     tracker = KeypointTracker(descriptor, reference, settings_of(params), params.seed, cameras=names)
     begin = _resumed(tracker, out)
     shown = ~dropped(n_frames, len(cameras), params.dropout, params.seed)
-    looks = progress(_looks(tracker, cameras, shown, begin), "tracking keypoints", n_frames - begin)
     begun = time.monotonic()
     with KeypointTrack.writer(out, names=reference.names, filter=params.filter, cameras=names, n_kept=begin) as writer:
-        for i_frame, look in enumerate(looks, start=begin):
-            found = tracker.update(look, None if grippers is None else grippers[i_frame])
-            is_on_disk = writer.append(
-                mean=found.mean,
-                covariance=found.covariance,
-                mode=found.mode,
-                n_eff=found.n_eff,
-                log_evidence=found.log_evidence,
-                cameras={name: (found.pixel[name], found.observed[name]) for name in names},
-            )
-            if is_on_disk:
+
+        def track(frame: tuple[Moment, Described]) -> None:
+            moment, described = frame
+            gripper = None if grippers is None else grippers[tracker.n_steps]
+            if _append(writer, names, tracker.update(tracker.look(*moment, described), gripper)):
                 tracker.save(out / STATE)
+
+        # The network is what takes long. It has this thread to itself: one reads ahead of it, another one follows.
+        described = _described(tracker, cameras, shown, begin)
+        for _ in progress(_beside(track, described), "tracking keypoints", n_frames - begin):
+            pass
     (out / STATE).unlink(missing_ok=True)
     n_done, seconds = n_frames - begin, time.monotonic() - begun
     tell(f"{n_done} frames of {len(cameras)} cameras in {seconds:.1f} s, {n_done / max(seconds, 1e-9):.1f} a second")
@@ -262,24 +261,45 @@ def _clear(out: Path) -> None:
         shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
-def _looks(tracker: KeypointTracker, cameras: list[Camera], shown: np.ndarray, begin: int) -> Iterator[Look]:
-    """What each frame says, from `begin` on: one thread reads, one describes, while the caller filters."""
+def _append(writer: KeypointsWriter, cameras: list[str], found: Keypoints) -> bool:
+    """Write a frame; whether all so far are on disk."""
+    return writer.append(
+        mean=found.mean,
+        covariance=found.covariance,
+        mode=found.mode,
+        n_eff=found.n_eff,
+        log_evidence=found.log_evidence,
+        cameras={name: (found.pixel[name], found.observed[name]) for name in cameras},
+    )
 
-    from bask_data.tracker import Moment, moment_of
+
+def _described(
+    tracker: KeypointTracker, cameras: list[Camera], shown: np.ndarray, begin: int
+) -> Iterator[tuple[Moment, Described]]:
+    """What the cameras that are looked at show in each frame from `begin` on, and its descriptors."""
+    from bask_data.tracker import moment_of
 
     def read(i_frame: int) -> Moment:
         return moment_of(compress(cameras, shown[i_frame]), i_frame)
 
-    return _ahead(lambda moment: tracker.look(*moment), _ahead(read, range(begin, len(shown))))
+    for moment in _beside(read, range(begin, len(shown))):
+        yield moment, tracker.describe(moment.images)
 
 
-def _ahead(function: Callable[[A], B], items: Iterable[A]) -> Iterator[B]:
-    """What a function gives for each item, in order, computed a few items ahead by a thread of its own."""
+def _beside(function: Callable[[A], B], items: Iterable[A]) -> Iterator[B]:
+    """What a function gives for each item, in order, computed by a thread of its own: it may be a few items ahead of
+    whoever takes them, and behind whoever gives them. After one that fails it takes no other."""
     waiting: deque[Future[B]] = deque()
+
+    def in_turn(item: A, before: Future[B] | None) -> B:
+        if before is not None:
+            before.result()
+        return function(item)
+
     with ThreadPoolExecutor(1) as pool:
         try:
             for item in items:
-                waiting.append(pool.submit(function, item))
+                waiting.append(pool.submit(in_turn, item, waiting[-1] if waiting else None))
                 if len(waiting) > AHEAD:
                     yield waiting.popleft().result()
             while waiting:

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import threading
+import time
 import weakref
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +17,7 @@ from bask_data.dataset import Dataset
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Robot, Truth, arrays
 from bask_data.kinds.truth import TruthMetadata
 from bask_data.stage import make, plan, state_of
-from bask_data.stages.encode import EncodeParams, encode, settings_of
+from bask_data.stages.encode import EncodeParams, _beside, encode, settings_of
 from bask_data.tracker import Keypoints, KeypointTracker, Look
 from tests.datasets import publish_artifact
 from tests.tracked import (
@@ -239,14 +242,14 @@ def test_a_state_that_a_disk_has_spoilt_costs_no_more_than_time(
 def _break_after_eight_frames(broken: pytest.MonkeyPatch, network: ColourNetwork, where: str) -> None:
     """Two chunks are on disk, and the state of the filter then or before it."""
     if where == "describing":
-        describe, already = network.distance_maps, network.n_images
+        describe, already = network.cells, network.n_images
 
-        def distance_maps(images: np.ndarray, references: np.ndarray) -> np.ndarray:
+        def cells(images: np.ndarray) -> np.ndarray:
             if network.n_images - already == 10:
                 raise KeyboardInterrupt
-            return describe(images, references)
+            return describe(images)
 
-        broken.setattr(network, "distance_maps", distance_maps)
+        broken.setattr(network, "cells", cells)
         return
     save = KeypointTracker.save
 
@@ -256,6 +259,25 @@ def _break_after_eight_frames(broken: pytest.MonkeyPatch, network: ColourNetwork
         save(self, file)
 
     broken.setattr(KeypointTracker, "save", half_saved)
+
+
+def test_no_frame_is_taken_after_one_that_failed() -> None:
+    taken, is_waiting = [], threading.Event()
+
+    def frames() -> Iterator[int]:
+        yield from (0, 1)
+        is_waiting.set()
+        time.sleep(0.2)  # Long enough for the thread to take the second.
+        yield 2
+
+    def fail(i_frame: int) -> None:
+        taken.append(i_frame)
+        is_waiting.wait(10)
+        raise ValueError(f"frame {i_frame}")
+
+    with pytest.raises(ValueError, match="frame 0"):
+        list(_beside(fail, frames()))
+    assert taken == [0]
 
 
 @pytest.mark.parametrize("source", ["network", "truth"])
@@ -284,10 +306,10 @@ def test_memory_does_not_grow_with_the_length(
     monkeypatch.setattr(arrays, "CHUNK_ROWS", 8)
     dataset = dataset_of(tmp_path / "d", {"wrist": np.tile(poses(), (6, 1, 1))})
     images, rows, most = [], [], {"images": 0, "rows": 0}
-    describe, update = network.distance_maps, KeypointTracker.update
+    distances, update = network.maps, KeypointTracker.update
 
     def watched_maps(given: np.ndarray, references: np.ndarray) -> np.ndarray:
-        maps = describe(given, references)
+        maps = distances(given, references)
         images.append(weakref.ref(maps))
         return maps
 
@@ -298,7 +320,7 @@ def test_memory_does_not_grow_with_the_length(
             most[name] = max(most[name], sum(one() is not None for one in kept))
         return found
 
-    monkeypatch.setattr(network, "distance_maps", watched_maps)
+    monkeypatch.setattr(network, "maps", watched_maps)
     monkeypatch.setattr(KeypointTracker, "update", watched_update)
     track = tracked(dataset, filter="expectation")
     assert len(track.mean) == len(rows) == len(images) == 6 * N_FRAMES
