@@ -7,7 +7,7 @@ by section) leaves a setting open, that of its public code is taken; docs/preset
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from bask_data.stage import Config, Stage
 
@@ -110,6 +110,3 @@ def preset(name: PresetName, stages: Iterable[Stage]) -> Config:
         section: {field: chosen.get(section, {}).get(field, defaults[section][field]) for field in names}
         for section, names in fields.items()
     }
-
-
-NAMES: tuple[PresetName, ...] = get_args(PresetName)

@@ -6,13 +6,13 @@ import pytest
 
 from bask_data.config import load_config
 from bask_data.pipeline import STAGES
-from bask_data.presets import NAMES, PRESETS, PresetName, preset
+from bask_data.presets import PRESETS, PresetName, preset
 from bask_data.stage import resolve
 from bask_data.stages.encode import encode
 from bask_data.stages.train import TrainParams, train
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PRESETS)
 def test_a_preset_is_made_of_parameters_that_there_are(name: PresetName) -> None:
     config = load_config(None, [], STAGES, name)
     params = resolve(train, config, "", "main", {})
@@ -22,7 +22,7 @@ def test_a_preset_is_made_of_parameters_that_there_are(name: PresetName) -> None
 
 def test_all_presets_set_the_same_fields_so_that_none_leaves_a_trace_of_another(tmp_path: Path) -> None:
     for section in ("train", "encode"):
-        fields = [set(preset(name, STAGES)[section]) for name in NAMES]
+        fields = [set(preset(name, STAGES)[section]) for name in PRESETS]
         assert all(one == fields[0] for one in fields)
     file = tmp_path / "params.yaml"
     file.write_text("train: {backbone: resnet50, steps: 7, seed: 5}\n")
@@ -46,7 +46,7 @@ def test_a_preset_goes_over_what_the_file_says_of_one_variant(tmp_path: Path) ->
 
 
 def test_presets_tell_the_filters_of_the_paper_and_of_its_code() -> None:
-    told = [resolve(encode, load_config(None, [], STAGES, name), "", "main", {}) for name in NAMES]
+    told = [resolve(encode, load_config(None, [], STAGES, name), "", "main", {}) for name in PRESETS]
     assert [(params.filter, params.settings) for params in told] == [
         ("particle", "default"),
         ("particle", "paper"),

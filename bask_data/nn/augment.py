@@ -161,12 +161,6 @@ def random_window(
     return window[0], window[1]
 
 
-def fitting_affine(size: tuple[int, int], out_size: tuple[int, int]) -> Float[ndarray, "2 3"]:
-    """Mere resizing from `size` to `out_size`, edge to edge, as a transform of pixel coordinates."""
-    factor = np.array([out_size[1] / size[1], out_size[0] / size[0]])
-    return np.column_stack([np.diag(factor), 0.5 * factor - 0.5])
-
-
 def moved(out_from_in: Float[ndarray, "2 3"], uv: Float[ndarray, "m 2"]) -> Float[ndarray, "m 2"]:
     """Pixels of the image as pixels of the warped image."""
     return (uv @ out_from_in[:, :2].T + out_from_in[:, 2]).astype(uv.dtype)

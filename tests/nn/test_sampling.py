@@ -8,8 +8,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bask_data.core.geometry import in_image
-from bask_data.nn.augment import AugmentSettings, fitting_affine, moved
+from bask_data.core.geometry import in_image, scale_pixels
+from bask_data.nn.augment import AugmentSettings
 from bask_data.nn.sampling import LEAST_SHOWN, SampleSettings, batch_of_step, non_matches, plan_of_step, rendered
 from tests.nn.pairs import RAMP_SIZE, RAMP_STEP, SIZE, RampPairs, ScenePairs
 
@@ -173,10 +173,9 @@ def test_a_pair_is_of_one_instance_and_its_matches_are_the_given_ones():
     for step in range(12):
         batch = batch_of_step(source, 3, step, replace(SAMPLE, n_pairs=1), PLAIN)
         found = np.concatenate([batch.uv_a[0], batch.uv_b[0]], axis=1)
-        affine = fitting_affine(SIZE, SAMPLE.size)
         for i_pair in range(source.n_pairs):
             pair = source.pair(i_pair)
-            known = np.concatenate([moved(affine, pair.uv_a), moved(affine, pair.uv_b)], axis=1)
+            known = np.concatenate([scale_pixels(uv, SIZE, SAMPLE.size) for uv in (pair.uv_a, pair.uv_b)], axis=1)
             swapped = np.abs(found[:, None] - known[None][..., [2, 3, 0, 1]]).max(axis=-1)
             distance = np.abs(found[:, None] - known[None]).max(axis=-1)
             distance = distance if distance.min(axis=1).max() < swapped.min(axis=1).max() else swapped
