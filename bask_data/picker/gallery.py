@@ -6,7 +6,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bask_data.errors import UsageError
@@ -177,10 +177,8 @@ class Gallery:
         step = 1
         while (z.shape[0] // step) * (z.shape[1] // step) > MOST_PIXELS:
             step += 1
-        height, width = z.shape[0] // step, z.shape[1] // step
         # Each pixel of the smaller map is the least distance in its block: a small match must not vanish.
-        blocks = z[: height * step, : width * step].reshape(height, step, width, step)
-        return Found(blocks.min(axis=(1, 3)), (float(u), float(v)), float(z[row, column]))
+        return Found(_least_of_blocks(z, step), (float(u), float(v)), float(z[row, column]))
 
     def same_place(self, frame: FrameName, u: float, v: float, others: Sequence[FrameName]) -> list[Any]:
         """Where other frames show the point that a pixel shows, by depth and cameras; None where that is not known.
@@ -241,3 +239,13 @@ class Gallery:
             self._described.move_to_end(frame)
             while len(self._described) > 1 and sum(one.n_bytes for one in self._described.values()) > self._most_bytes:
                 self._described.popitem(last=False)
+
+
+def _least_of_blocks(z: np.ndarray, step: int) -> np.ndarray:
+    """The least of each block of step x step pixels; what is left over at the edges is left out."""
+    import numpy as np
+
+    whole = z[: z.shape[0] // step * step, : z.shape[1] // step * step]
+    # Of whole rows, then of whole columns: NumPy is ten times slower with a minimum over two axes of four.
+    rows = reduce(np.minimum, [whole[i::step] for i in range(step)])
+    return np.ascontiguousarray(reduce(np.minimum, [rows[:, i::step] for i in range(step)]))
