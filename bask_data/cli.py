@@ -73,13 +73,13 @@ app = typer.Typer(
 ingest_app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Read a recording into a dataset; one sub-command per format."
 )
-app.add_typer(ingest_app, name="ingest", rich_help_panel="Dataset")
+app.add_typer(ingest_app, name="ingest")
 evaluate_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Hold what was made against the truth of recordings that have one.",
 )
-app.add_typer(evaluate_app, name="evaluate", rich_help_panel="Dataset")
+app.add_typer(evaluate_app, name="evaluate")
 
 
 def main() -> None:
@@ -198,7 +198,6 @@ def _command(
     help: str,
     parameters: list[inspect.Parameter],
     body: Callable[..., None],
-    panel: str,
 ) -> None:
     """Add a command whose signature is made here: Typer reads options off signatures only."""
 
@@ -404,7 +403,7 @@ def _add_stage(stage: Stage) -> None:
         saved_nothing = bool(options.get("pick")) and not outcomes
         _finish(stage.name, outcomes, json_, "" if saved_nothing else following)
 
-    _command(app, stage.name, stage.help, parameters, body, "Stages")
+    _command(app, stage.name, stage.help, parameters, body)
 
 
 def _following(stage: Stage, root: Path, variant: str, chosen: dict[str, str]) -> str:
@@ -511,7 +510,7 @@ def _add_format(format: Format) -> None:
             show_outcome(outcome)
         _finish(f"ingest {format.name}", outcomes, json_, f"bask-data run {_quoted(root)}", assumptions=assumptions)
 
-    _command(ingest_app, format.name, format.help, parameters, body, "Formats")
+    _command(ingest_app, format.name, format.help, parameters, body)
 
 
 for _format in FORMATS:
@@ -555,7 +554,7 @@ def _add_simulator() -> None:
         _finish("ingest sim", outcomes, json_, following, failed_demonstrations=n_failed)
 
     help_ = "Simulate a tabletop task: scans and demonstrations whose truth is known exactly."
-    _command(ingest_app, "sim", help_, parameters, body, "Simulator")
+    _command(ingest_app, "sim", help_, parameters, body)
 
 
 _add_simulator()

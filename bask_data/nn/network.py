@@ -17,7 +17,7 @@ from numpy import ndarray
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from bask_data.core.geometry import scale_intrinsics, scale_pixels
+from bask_data.core.geometry import scale_pixels
 from bask_data.nn.backbones import BACKBONES, Triple, named
 from bask_data.nn.resnet import STRIDE, sampled, upsampled
 from bask_data.nn.weights import load_weights, read_weights
@@ -141,10 +141,6 @@ class DescriptorNetwork(nn.Module):
         batch = cells if cells.ndim == 4 else cells[None]
         found = maps_of_cells(batch, torch.from_numpy(references).to(cells.device)).cpu().numpy()
         return found if cells.ndim == 4 else found[0]
-
-    def scaled_intrinsics(self, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Float[ndarray, "3 3"]:
-        """Intrinsics of the resized image, for an image of `size`."""
-        return scale_intrinsics(K, size, self.input_size(size))
 
     def save(self, folder: Path) -> None:
         """Write `weights.safetensors` and `model.json`."""

@@ -45,7 +45,7 @@ def write_pictures(dataset: Dataset, found: Mapping[str, Any], folder: Path) -> 
     made = []
     colours = method_colours(found)
     for name, group in found["groups"].items():
-        made.append(_saved(_study_figure(dataset, name, group, colours), folder / f"{name}.png"))
+        made.append(_saved(_study_figure(dataset, group, colours), folder / f"{name}.png"))
         made.append(_saved(_likelihood_figure(found, group), folder / f"{name}-likelihood.png"))
     return made
 
@@ -75,7 +75,7 @@ def _saved(figure: Any, file: Path) -> Path:
 # Over time -----------------------------------------------------------------------------------------------------------
 
 
-def _study_figure(dataset: Dataset, name: str, group: Mapping[str, Any], colours: Mapping[str, str]) -> Any:
+def _study_figure(dataset: Dataset, group: Mapping[str, Any], colours: Mapping[str, str]) -> Any:
     """Reference positions, multimodality and error over time, and below them a row of an example for each object."""
     from matplotlib.figure import Figure
 

@@ -8,7 +8,6 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from bask_data.core.geometry import scale_intrinsics
 from bask_data.nn.backbones import BACKBONES
 from bask_data.nn.efficientnet import DenseEfficientNet
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings, create, distance_maps, load, maps_of_cells
@@ -79,12 +78,6 @@ def test_a_pixel_has_distance_zero_to_its_own_descriptor():
     assert maps.shape == (1, 48, 64)
     assert np.unravel_index(maps[0].argmin(), maps[0].shape) == (30, 12)
     assert maps[0, 30, 12] == pytest.approx(0.0, abs=2e-3)
-
-
-def test_intrinsics_follow_the_resizing():
-    K = np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]])
-    expected = scale_intrinsics(K, (480, 640), (48, 64))
-    np.testing.assert_allclose(small_network().scaled_intrinsics(K, (480, 640)), expected)
 
 
 def test_a_saved_network_describes_alike(tmp_path):
