@@ -21,6 +21,7 @@ import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, as_completed
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -388,7 +389,7 @@ def state_of(task: Task) -> State:
         for binding in bindings:
             path = task.input_path(binding)
             if not (path / "artifact.json").exists():
-                return State("blocked", f"{path.relative_to(task.root).as_posix()} is missing")
+                return State("blocked", f"{path.relative_to(task.root).as_posix()} is missing{_instead(binding, path)}")
     wanted = [given for given in task.stage.inputs if task.params.reads(given.artifact.kind) is None]
     for given in wanted:
         if not task.inputs[given.name]:
@@ -404,6 +405,14 @@ def state_of(task: Task) -> State:
     if manifest.key == digest_of(parts):
         return State("up to date")
     return State("stale", _difference(manifest, parts))
+
+
+def _instead(binding: Binding, path: Path) -> str:
+    """Which other variants of a missing input there are, and how to ask for one."""
+    if binding.artifact.scope != "dataset" or not binding.artifact.has_variants:
+        return ""
+    others = sorted(manifest.parent.name for manifest in path.parent.glob(f"*/{MANIFEST}"))
+    return f"; there is --{binding.artifact.kind} {', '.join(others)}" if others else ""
 
 
 def _difference(manifest: Manifest, parts: dict[str, Any]) -> str:
@@ -523,7 +532,12 @@ def _fill_resumable(task: Task, key: str, fill: Callable[[Path], Manifest], forc
                 # Another process made it while this one waited for the lock.
                 return read_manifest(task.target)
             scratch.mkdir(exist_ok=True)
-            manifest = fill(scratch)
+            try:
+                manifest = fill(scratch)
+            except BaseException:
+                with suppress(OSError):
+                    scratch.rmdir()  # Where nothing was left in it, there is nothing to go on from.
+                raise
             for left in folder.glob(f"{prefix}*"):
                 if left.is_dir():
                     shutil.rmtree(left, ignore_errors=True)

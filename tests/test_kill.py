@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,8 +17,10 @@ import yaml
 
 from bask_data.artifact import read_manifest
 from bask_data.dataset import Dataset
+from bask_data.kinds import KeypointTrack
 from bask_data.validate import artifacts_on_disk, validate
 from tests.tiny import PARAMS, write_recording
+from tests.tracked import N_FRAMES, dataset_of, poses
 
 COMMAND = [sys.executable, "-m", "bask_data.cli"]
 
@@ -101,3 +104,63 @@ def test_a_few_kills_lose_nothing_finished(ingested: Path, tmp_path: Path) -> No
 @pytest.mark.slow
 def test_a_hundred_kills_lose_nothing_finished(ingested: Path, tmp_path: Path) -> None:
     hold(ingested, tmp_path, 100)
+
+
+ENCODE = """
+import sys, time
+from bask_data.cli import app
+from bask_data.kinds import DescriptorNet, arrays
+from tests.tracked import ColourNetwork
+
+class Network(ColourNetwork):
+    def cells(self, images):
+        # From its eighth frame on, what is to be killed takes longer than it will live.
+        time.sleep(pause if self.n_images == 7 else 0)
+        return super().cells(images)
+
+network = Network()
+DescriptorNet.network = lambda self: network
+arrays.CHUNK_ROWS = 4
+pause = float(sys.argv.pop())
+app(sys.argv[1:])
+"""
+"""`bask-data encode` with a network that needs no training, which writes down its state every four frames, not 256."""
+
+
+@pytest.mark.kill
+def test_a_killed_encode_goes_on_where_it_was_and_comes_to_the_same(tmp_path: Path) -> None:
+    whole, cut = (dataset_of(tmp_path / name, {"wrist": poses()}) for name in ("whole", "cut"))
+    assert f"{N_FRAMES} frames of 1 cameras" in encoded(whole.root)
+    begun = encoding(cut.root, pause=600)
+    try:
+        state = wait_for(lambda: [*cut.root.glob(".scratch/resume~keypoints~*/state.safetensors")], begun)
+    finally:
+        os.killpg(begun.pid, signal.SIGKILL)
+        begun.communicate()
+    assert begun.returncode == -signal.SIGKILL and state.exists()
+    assert validate(cut) == [] and not cut.path(KeypointTrack, "reach").exists()
+    assert f"{N_FRAMES - 4} frames of 1 cameras" in encoded(cut.root)
+    manifests = [read_manifest(one.path(KeypointTrack, "reach")) for one in (whole, cut)]
+    assert (manifests[0].digest, manifests[0].files) == (manifests[1].digest, manifests[1].files)
+    assert not [entry for entry in (cut.root / ".scratch").iterdir() if entry.is_dir()]
+
+
+def encoding(root: Path, pause: float = 0) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", ENCODE, "encode", str(root), "--n-particles", "100", str(pause)]
+    here = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    return subprocess.Popen(command, env=here, stderr=subprocess.PIPE, text=True, start_new_session=True)
+
+
+def encoded(root: Path) -> str:
+    """What it told of itself."""
+    process = encoding(root)
+    _, told = process.communicate()
+    assert process.returncode == 0, told
+    return told
+
+
+def wait_for(found: Callable[[], list[Path]], process: subprocess.Popen[str]) -> Path:
+    while not found():
+        assert process.poll() is None, process.communicate()[1]
+        time.sleep(0.01)
+    return found()[0]

@@ -134,11 +134,16 @@ def encode(
     All cameras of the demonstration are used; their frames belong together by number. A few frames are in memory at a
     time, and an interrupted track goes on where it was.
     """
-    cameras = cameras_of(demonstration, params.cameras)
-    if params.source == "truth":
-        _write_truth(demonstration, cameras, reference, {truth.path.name: truth for truth in truths}, out)
-    else:
-        _track(demonstration, cameras, descriptor, reference, params, out)
+    try:
+        cameras = cameras_of(demonstration, params.cameras)
+        if params.source == "truth":
+            _write_truth(demonstration, cameras, reference, {truth.path.name: truth for truth in truths}, out)
+        else:
+            _track(demonstration, cameras, descriptor, reference, params, out)
+    except BaseException:
+        if not (out / STATE).exists():
+            _clear(out)
+        raise
 
 
 def cameras_of(demonstration: Demonstration, wanted: tuple[str, ...] = ()) -> list[Camera]:

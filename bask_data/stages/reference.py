@@ -148,7 +148,7 @@ def parsed(text: str, name: str, recordings: Mapping[str, Recording]) -> tuple[P
         )
     recording, camera_name = parts[:2]
     if recording not in recordings:
-        raise UsageError("reference", "picks", expected="a scene or demonstration of the dataset", got=text)
+        raise UsageError("reference", "picks", expected=f"one of the recordings {', '.join(recordings)}", got=text)
     cameras = recordings[recording].camera_names
     if camera_name not in cameras:
         raise UsageError("reference", "picks", expected=f"one of the cameras {', '.join(cameras)}", got=text)

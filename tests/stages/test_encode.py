@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 import threading
 import time
 import weakref
@@ -178,6 +179,19 @@ def test_what_a_track_depends_on_is_never_served_stale(tmp_path: Path) -> None:
     assert state() == ("stale", "changed: descriptor/main")
 
 
+def test_a_network_or_keypoints_of_another_name_are_missing_and_those_that_exist_are_named(tmp_path: Path) -> None:
+    dataset = dataset_of(tmp_path / "d", {"wrist": poses()})
+
+    def why(**options: object) -> str:
+        [task] = plan(dataset, encode, **options)
+        return state_of(task).why
+
+    assert why(variant="other") == "descriptor/other is missing; there is --descriptor main"
+    assert why(variant_inputs={"reference": "nope"}) == "reference/nope is missing; there is --reference main"
+    shutil.rmtree(dataset.path(ReferenceKeypoints))
+    assert why() == "reference/main is missing"
+
+
 def test_a_robot_with_another_number_of_frames_is_refused(tmp_path: Path) -> None:
     grippers = np.tile(np.eye(4), (N_FRAMES - 2, 1, 1))
     dataset = dataset_of(tmp_path / "d", {"wrist": poses()}, Robot(world_from_gripper=grippers))
@@ -278,6 +292,25 @@ def test_no_frame_is_taken_after_one_that_failed() -> None:
     with pytest.raises(ValueError, match="frame 0"):
         list(_beside(fail, frames()))
     assert taken == [0]
+
+
+@pytest.mark.parametrize("fails_at", [0, 3])
+def test_what_fails_before_there_is_a_state_leaves_nothing_behind(
+    tmp_path: Path, network: ColourNetwork, monkeypatch: pytest.MonkeyPatch, fails_at: int
+) -> None:
+    dataset = dataset_of(tmp_path / "d", {"wrist": poses()})
+    maps, n_before = network.maps, []
+
+    def broken(images: np.ndarray, references: np.ndarray) -> np.ndarray:
+        n_before.append(1)
+        if len(n_before) > fails_at:
+            raise ValueError("broken")
+        return maps(images, references)
+
+    monkeypatch.setattr(network, "maps", broken)
+    assert "broken" in why_not(dataset)
+    assert "cameras: expected some of wrist, got front" in why_not(dataset, cameras=("front",))
+    assert not [entry for entry in (tmp_path / "d" / ".scratch").iterdir() if entry.is_dir()]
 
 
 @pytest.mark.parametrize("source", ["network", "truth"])
