@@ -215,12 +215,9 @@ def tracked(
 ) -> np.ndarray:
     """Where a filter takes the keypoints to be (t, k, 3)."""
     # Expectations need sharper maps than filters, which see many frames; by as much as their defaults differ.
-    sharper = settings_named("expectation").alpha / settings_named("particle").alpha
-    settings = (
-        settings_named(name, alpha=sharper * alpha)
-        if name == "expectation"
-        else settings_named(name, alpha=alpha, tau=tau, **({"walk": WALK} if name == "particle" else {}))
-    )
+    sharper = settings_named(name).alpha / settings_named("discrete").alpha
+    seen_often = {"tau": tau**sharper, **({"walk": WALK} if name == "particle" else {})}
+    settings = settings_named(name, alpha=sharper * alpha, **({} if name == "expectation" else seen_often))
     belief, rng, means = None, np.random.default_rng(0), []
     for i in progress(range(camera.n_frames), f"tracking, {name}"):
         z = maps(cells[i], references)

@@ -66,16 +66,20 @@ class ParticleSettings:
     """Settings of the particle filter."""
 
     n_particles: int = 2000
-    alpha: float = 4.0
-    """Temperature: a pixel at distance z has correspondence likelihood exp(-alpha z)."""
+    alpha: float = 2.0
+    """Temperature: a pixel at distance z has correspondence likelihood exp(-alpha z). Half of what networks are trained
+    with, and the paper's: frames of one motion err together, and what they say must not count in full each time."""
     tau: float | None = None
     """Likelihood of any observation if the camera does not see the particle; None: `unseen_likelihood` says it of each
     frame."""
     tau_ratio: float = 2.0
     """Without `tau`: how much likelier the keypoint is out of sight than at the average pixel ..."""
-    tau_match: float = 0.01
+    tau_match: float = 0.03
     """... and at least: this share of how well the track has matched, on average, while seen. The best match of an
     image that does not show the keypoint is far above the average pixel."""
+    mismatch: float = 0.3
+    """How likely, as a share of tau, an image is where a keypoint is in plain view and does not look like itself:
+    its surroundings changed, or it shines. Zero for the paper's model, in which such a keypoint is somewhere else."""
     walk: float = 0.002
     """Standard deviation of the random walk in one frame and along each axis, metres."""
     gripper_probability: float = 0.2
@@ -99,7 +103,7 @@ class ParticleSettings:
     """Resample when the effective number of particles is below this share of all."""
     resampling: Literal["stratified", "systematic"] = "stratified"
     """One random number for each new particle, or one for all of them."""
-    draw_sharpness: float = 3.0
+    draw_sharpness: float = 6.0
     """How much higher than alpha the temperature is of the heat maps that particles are drawn from, first and later:
     alpha is made for many frames together, and in a single one leaves most of the weight to the background. One for the
     paper's filter."""
@@ -212,7 +216,7 @@ def look(
 ) -> Look:
     """Particles in a camera's frame.
 
-        p = p_o p_f tau + (1 - p_f) tau + (1 - p_o) p_f p_d p_c
+        p = p_o p_f tau + (1 - p_f) tau + (1 - p_o) p_f p_d (p_c + mismatch tau)
 
     p_o = 1 - Phi((z^d - (x^d - eps)) / sigma) is large where the *measured* depth z^d is clearly smaller than the
     particle's. p_d is exp(-(z^d - x^d)^2 / 2 sigma^2): its peak is one, so that tau weighs the same at every depth.
@@ -238,6 +242,7 @@ def look(
         seen.K,
         settings.alpha,
         tau,
+        settings.mismatch,
         np.array(noise),
         total,
         part,
@@ -255,6 +260,7 @@ def _look(
     K: ndarray,
     alpha: float,
     tau: ndarray,
+    mismatch: float,
     noise: ndarray,
     total: ndarray,
     part: ndarray,
@@ -292,8 +298,9 @@ def _look(
             s, t = map_u - left, map_v - top
             upper = (1 - s) * distance[i, top, left] + s * distance[i, top, left + right]
             lower = (1 - s) * distance[i, top + down, left] + s * distance[i, top + down, left + right]
-            part[i, j] = (1.0 - p_o) * p_d * math.exp(-alpha * ((1 - t) * upper + t * lower))
-            total[i, j] = max(p_o * tau[i] + part[i, j], LEAST_LIKELIHOOD)
+            in_view = (1.0 - p_o) * p_d
+            part[i, j] = in_view * math.exp(-alpha * ((1 - t) * upper + t * lower))
+            total[i, j] = max((p_o + mismatch * in_view) * tau[i] + part[i, j], LEAST_LIKELIHOOD)
 
 
 def first_particles(

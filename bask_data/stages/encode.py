@@ -63,7 +63,8 @@ class EncodeParams(Params):
         None,
         gt=0,
         description="Temperature: a pixel at descriptor distance z has likelihood exp(-alpha z). "
-        "Default: 4; expectation: 20, because the many pixels of background outweigh the match at less.",
+        "Default: 4; particle: 2, because frames err together; expectation: 20, because the many pixels of background "
+        "outweigh the match at less.",
     )
     tau: float | None = Field(
         None,
@@ -77,7 +78,7 @@ class EncodeParams(Params):
         None,
         ge=0,
         le=1,
-        description="Particle: without tau, at least this share of how well the track has matched. Default: 0.01; "
+        description="Particle: without tau, at least this share of how well the track has matched. Default: 0.03; "
         "descriptors whose distances are all alike want 0.1 to 0.25.",
     )
     walk: float | None = Field(
@@ -120,7 +121,7 @@ class EncodeParams(Params):
         return () if kind == Truth.kind and self.source == "network" else None
 
 
-@stage(makes=KeypointTrack, version=2, resumable=True)
+@stage(makes=KeypointTrack, version=3, resumable=True)
 def encode(
     demonstration: Demonstration,
     descriptor: DescriptorNet,
