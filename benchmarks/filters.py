@@ -1,9 +1,9 @@
 """How right the filters are when descriptors are: `python benchmarks/filters.py`.
 
 Object coordinates stand in for descriptors, so that the filter alone is judged: a pixel's distance to a keypoint is
-twice the way between the two on the object, in decimetres, and 2 at most; 2 off the object. Two demonstrations of each of the
-four simulated tasks, seen by the wrist camera alone and by both cameras; and two boxes that nothing but their places
-tell apart, of which one is seen before the other comes into view. Ten minutes on two cores.
+twice the way between the two on the object, in decimetres, and 2 at most; 2 off the object. Two demonstrations of
+each of the four simulated tasks, seen by the wrist camera alone and by both cameras; and two boxes that nothing but
+their places tell apart, of which one is seen before the other comes into view. Ten minutes on two cores.
 """
 
 from __future__ import annotations
