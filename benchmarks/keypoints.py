@@ -23,7 +23,7 @@ PHASES = ("all", "visible", "occluded", "out of view")
 
 def main() -> int:
     for task in TASKS:
-        # As near as the gripper comes, and every second scan of what the task leaves: a lid off its pan looks otherwise.
+        # As near as the gripper comes, and every second scan of what the task leaves: a lid off its pan differs.
         views = ("--cameras", "wrist,overhead", "--frames", "80", "--distance-spread", "0.6", "--finished", "0.5")
         bask_data("ingest", "sim", ROOT, "--task", task, "--scans", N_SCANS, "--demonstrations", 5, *views)
     for stage in STAGES:
