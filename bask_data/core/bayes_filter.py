@@ -56,7 +56,6 @@ _CODE: dict[Filter, Settings] = {
         n_particles=250,
         alpha=4.0,
         tau=_OUT_OF_SIGHT,
-        mismatch=0.0,
         walk=0.01,
         gripper_probability=0.25,
         gripper_memory=0.0,

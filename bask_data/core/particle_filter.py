@@ -77,9 +77,6 @@ class ParticleSettings:
     tau_match: float = 0.03
     """... and at least: this share of how well the track has matched, on average, while seen. The best match of an
     image that does not show the keypoint is far above the average pixel."""
-    mismatch: float = 0.3
-    """How likely, as a share of tau, an image is where a keypoint is in plain view and does not look like itself:
-    its surroundings changed, or it shines. Zero for the paper's model, in which such a keypoint is somewhere else."""
     walk: float = 0.002
     """Standard deviation of the random walk in one frame and along each axis, metres."""
     gripper_probability: float = 0.2
@@ -216,7 +213,7 @@ def look(
 ) -> Look:
     """Particles in a camera's frame.
 
-        p = p_o p_f tau + (1 - p_f) tau + (1 - p_o) p_f p_d (p_c + mismatch tau)
+        p = p_o p_f tau + (1 - p_f) tau + (1 - p_o) p_f p_d p_c
 
     p_o = 1 - Phi((z^d - (x^d - eps)) / sigma) is large where the *measured* depth z^d is clearly smaller than the
     particle's. p_d is exp(-(z^d - x^d)^2 / 2 sigma^2): its peak is one, so that tau weighs the same at every depth.
@@ -242,7 +239,6 @@ def look(
         seen.K,
         settings.alpha,
         tau,
-        settings.mismatch,
         np.array(noise),
         total,
         part,
@@ -260,7 +256,6 @@ def _look(
     K: ndarray,
     alpha: float,
     tau: ndarray,
-    mismatch: float,
     noise: ndarray,
     total: ndarray,
     part: ndarray,
@@ -298,9 +293,8 @@ def _look(
             s, t = map_u - left, map_v - top
             upper = (1 - s) * distance[i, top, left] + s * distance[i, top, left + right]
             lower = (1 - s) * distance[i, top + down, left] + s * distance[i, top + down, left + right]
-            in_view = (1.0 - p_o) * p_d
-            part[i, j] = in_view * math.exp(-alpha * ((1 - t) * upper + t * lower))
-            total[i, j] = max((p_o + mismatch * in_view) * tau[i] + part[i, j], LEAST_LIKELIHOOD)
+            part[i, j] = (1.0 - p_o) * p_d * math.exp(-alpha * ((1 - t) * upper + t * lower))
+            total[i, j] = max(p_o * tau[i] + part[i, j], LEAST_LIKELIHOOD)
 
 
 def first_particles(

@@ -26,7 +26,7 @@ from bask_data.core.particle_filter import (
 
 HEIGHT, WIDTH = 40, 60
 K = np.array([[60.0, 0, 29.5], [0, 60.0, 19.5], [0, 0, 1]])
-PURE = ParticleSettings(alpha=4.0, redraw_share=0.0, resample_below=0.0, tau=0.1, mismatch=0.0)
+PURE = ParticleSettings(alpha=4.0, redraw_share=0.0, resample_below=0.0, tau=0.1)
 """The bare Bayes filter: no restarts, no resampling."""
 
 
@@ -79,7 +79,7 @@ def likelihood_by_hand(point: np.ndarray, seen: Observation, s: ParticleSettings
     i, j = min(int(v), HEIGHT - 2), min(int(u), WIDTH - 2)
     a, b, map_ = v - i, u - j, seen.distance[0].astype(np.float64)
     z = (1 - a) * ((1 - b) * map_[i, j] + b * map_[i, j + 1]) + a * ((1 - b) * map_[i + 1, j] + b * map_[i + 1, j + 1])
-    p_c = math.exp(-s.alpha * z) + s.mismatch * s.tau
+    p_c = math.exp(-s.alpha * z)
     if z_d == 0:
         return 0.5 * s.tau + 0.5 * p_c
     sigma = s.depth_noise * x_d + s.depth_noise_floor
@@ -93,16 +93,15 @@ def test_the_likelihood_is_the_papers_sum() -> None:
     seen.depth[10:20, 20:40] = 0
     seen.depth[:, 45:] *= 0.6
     points = np.random.default_rng(0).uniform([-1.5, -0.7, -0.5], [1.0, 0.7, 1.5], (400, 3))
-    for settings in (PURE, replace(PURE, mismatch=0.3)):
-        expected = [likelihood_by_hand(p, seen, settings) for p in points]
-        got, _ = likelihood(points[None], seen, settings)
-        np.testing.assert_allclose(got[0], np.maximum(expected, 1e-30), rtol=1e-9)
+    expected = [likelihood_by_hand(p, seen, PURE) for p in points]
+    got, _ = likelihood(points[None], seen, PURE)
+    np.testing.assert_allclose(got[0], np.maximum(expected, 1e-30), rtol=1e-9)
 
 
 def test_behind_a_surface_is_hidden_on_it_is_seen_and_before_it_is_impossible() -> None:
     seen = wall(np.eye(4), [[0.0, 0, 1]])
     points = np.array([[[0.0, 0, 1.3], [0, 0, 1.0], [0, 0, 0.7]]])
-    total, visible = likelihood(points, seen, ParticleSettings(tau=0.2, mismatch=0.0))
+    total, visible = likelihood(points, seen, ParticleSettings(tau=0.2, alpha=4.0))
     np.testing.assert_allclose(total[0, 0], 0.2, rtol=1e-6)
     assert visible[0, 0] < 1e-9
     assert visible[0, 1] / total[0, 1] > 0.98

@@ -156,9 +156,8 @@ def _look(
     p_o = 0.5 * torch.erfc((z_d - (x_d - settings.occlusion_margin)) / sigma * math.sqrt(0.5))
     p_o = torch.where(z_d > 0, p_o, torch.full_like(p_o, settings.hidden_without_depth))
     p_d = torch.where(z_d > 0, (-0.5 * ((z_d - x_d) / sigma).square()).exp(), torch.ones_like(z_d))
-    in_view = (1 - p_o) * p_d
-    part = in_view * (-settings.alpha * _sampled(seen.distance, u, v, (height, width))).exp()
-    total = ((p_o + settings.mismatch * in_view) * tau[:, None] + part).clamp(min=LEAST_LIKELIHOOD)
+    part = (1 - p_o) * p_d * (-settings.alpha * _sampled(seen.distance, u, v, (height, width))).exp()
+    total = (p_o * tau[:, None] + part).clamp(min=LEAST_LIKELIHOOD)
     nothing = torch.zeros_like(part)
     return _Look(torch.where(inside, total, tau[:, None].expand_as(total)), torch.where(inside, part, nothing), tau)
 
