@@ -253,10 +253,14 @@ def _tracks(dataset: Dataset, variant: str) -> list[KeypointTrack]:
 
 
 def temperature(dataset: Dataset, variant: str, descriptor: DescriptorNet) -> float:
-    """alpha of the heat maps softmax(-alpha z): that of the tracks made of the variant, or else of its training."""
+    """alpha of the heat maps softmax(-alpha z): that of the tracks made of the variant, or else of its training.
+
+    The particle filter's own belongs to many frames together, not to one.
+    """
     for track in _tracks(dataset, variant):
-        if track.metadata.filter in get_args(Filter):
-            params = track.manifest.params
+        params = track.manifest.params
+        is_of_one_frame = track.metadata.filter != "particle" or params.get("alpha")
+        if track.metadata.filter in get_args(Filter) and is_of_one_frame:
             return settings_named(
                 track.metadata.filter, params.get("settings", "default"), alpha=params.get("alpha")
             ).alpha

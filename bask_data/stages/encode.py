@@ -142,7 +142,7 @@ def encode(
         else:
             _track(demonstration, cameras, descriptor, reference, params, out)
     except BaseException:
-        if not (out / STATE).exists():
+        if out.exists() and not (out / STATE).exists():
             _clear(out)
         raise
 

@@ -148,7 +148,8 @@ def parsed(text: str, name: str, recordings: Mapping[str, Recording]) -> tuple[P
         )
     recording, camera_name = parts[:2]
     if recording not in recordings:
-        raise UsageError("reference", "picks", expected=f"one of the recordings {', '.join(recordings)}", got=text)
+        # Which others there are is not known here: picks read the recordings they name, and no more.
+        raise UsageError("reference", "picks", expected="the name of a scan or demonstration of the dataset", got=text)
     cameras = recordings[recording].camera_names
     if camera_name not in cameras:
         raise UsageError("reference", "picks", expected=f"one of the cameras {', '.join(cameras)}", got=text)

@@ -43,7 +43,8 @@ def test_particles_of_each_frame_lie_around_the_tracks_mean_and_where_the_images
         away = np.linalg.norm(particles.mean(axis=1) - track.mean[i], axis=1)
         assert (away < 0.01).all()
     assert len(saved.all("/reach/world/cameras/wrist/particles", "Points2D:positions")[0]) > N_PARTICLES
-    assert not saved.all("/reach/world/cameras/wrist/particles", "Points2D:positions")[7]  # It looks elsewhere.
+    # It looks elsewhere; some particles are always drawn anew from what it shows.
+    assert len(saved.all("/reach/world/cameras/wrist/particles", "Points2D:positions")[7]) < 0.02 * 3 * N_PARTICLES
 
 
 @pytest.mark.parametrize("filter", ["discrete", "expectation"])
