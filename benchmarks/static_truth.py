@@ -214,10 +214,15 @@ def tracked(
     camera: Camera, cells: list[torch.Tensor], references: torch.Tensor, name: Filter, alpha: float, tau: float
 ) -> np.ndarray:
     """Where a filter takes the keypoints to be (t, k, 3)."""
-    # Expectations need sharper maps than filters, which see many frames; by as much as their defaults differ.
-    sharper = settings_named(name).alpha / settings_named("discrete").alpha
-    seen_often = {"tau": tau**sharper, **({"walk": WALK} if name == "particle" else {})}
-    settings = settings_named(name, alpha=sharper * alpha, **({} if name == "expectation" else seen_often))
+    # Expectations need sharper maps than filters, which see many frames; by as much as their defaults differ. The
+    # particle filter believes frames by half unless told otherwise, as here, where the temperature is fitted to them.
+    sharper = settings_named("expectation").alpha / settings_named("discrete").alpha
+    options = {
+        "expectation": {"alpha": sharper * alpha},
+        "discrete": {"alpha": alpha, "tau": tau},
+        "particle": {"alpha": alpha, "tau": tau, "walk": WALK, "draw_sharpness": 3.0},
+    }
+    settings = settings_named(name, **options[name])
     belief, rng, means = None, np.random.default_rng(0), []
     for i in progress(range(camera.n_frames), f"tracking, {name}"):
         z = maps(cells[i], references)
