@@ -22,6 +22,7 @@ import sys
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -217,7 +218,7 @@ def tracked(
     # Expectations need sharper maps than filters, which see many frames; by as much as their defaults differ. The
     # particle filter believes frames by half unless told otherwise, as here, where the temperature is fitted to them.
     sharper = settings_named("expectation").alpha / settings_named("discrete").alpha
-    options = {
+    options: dict[Filter, dict[str, Any]] = {
         "expectation": {"alpha": sharper * alpha},
         "discrete": {"alpha": alpha, "tau": tau},
         "particle": {"alpha": alpha, "tau": tau, "walk": WALK, "draw_sharpness": 3.0},

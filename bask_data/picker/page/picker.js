@@ -45,12 +45,17 @@ async function told(name, body) {
   return (await ask(name, body)).json();
 }
 
+// What went wrong stays long enough to be read, however soon the next heat maps come.
+const COMPLAINT_MS = 4000;
+let complainedAt = -COMPLAINT_MS;
 function complain(error) {
+  complainedAt = performance.now();
   show(error.message, true);
 }
 
 function show(text, isWrong = false) {
-  if (text === statusText) return;
+  // What was still under way when the page was finished has nowhere to tell it.
+  if (text === statusText || !$("status")) return;
   statusText = text;
   $("status").textContent = text;
   $("status").classList.toggle("wrong", isWrong);
@@ -381,6 +386,7 @@ function isRight(view) {
 }
 
 function tell(at, shown) {
+  if (performance.now() - complainedAt < COMPLAINT_MS) return;
   const known = shown.filter((view) => view.found && view.found.place && !same(view.frame, at.frame));
   const right = known.filter(isRight).length;
   const where = `${at.frame[0]}, ${at.frame[1]} ${at.frame[2]}: ${Math.round(at.u)}, ${Math.round(at.v)}`;
