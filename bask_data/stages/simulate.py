@@ -213,10 +213,11 @@ def _take(job: Job, studio: _Studio) -> tuple[Take, int]:
     for attempt in range(MAX_ATTEMPTS):
         rng = np.random.default_rng(job.seed(attempt))
         take = demonstrate(studio.world, rng)
-        if take is not None and job.makes is Scan:
-            return scan(studio.world, rng, replace(take.layout, qpos=take.qpos[-1])), attempt
-        if take is not None:
-            return take, attempt
+        if take is None:
+            continue
+        if job.shows_finished:
+            take = scan(studio.world, rng, replace(take.layout, qpos=take.qpos[-1]))
+        return take, attempt
     raise UsageError(
         "ingest sim",
         job.item,
