@@ -51,7 +51,7 @@ _OUT_OF_SIGHT = 0.25 * math.exp(-4.0)
 """tau of the authors' code: a match at descriptor distance 1 whose depth fits with 0.25."""
 _CODE: dict[Filter, Settings] = {
     "expectation": ExpectationSettings(alpha=4.0),
-    "discrete": DiscreteSettings(alpha=4.0, walk_px=2.0, tau=0.0, restart=0.0),
+    "discrete": DiscreteSettings(alpha=4.0, walk_px=2.0, tau=0.0, restart=0.0, gripper_probability=0.0),
     "particle": ParticleSettings(
         n_particles=250,
         alpha=4.0,

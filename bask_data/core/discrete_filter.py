@@ -1,8 +1,9 @@
 """The discrete Bayes filter: for each camera, a belief over its pixels and one more state, *outside of the image*.
 
-The belief is carried from the previous pixel space into the present one through depth and camera motion, spread by a
-random walk, and multiplied by the correspondence likelihood. Every step is linear in the belief and keeps its mass:
-what leaves the image is outside, and comes back where the camera uncovers something it did not see before.
+The belief is carried from the previous pixel space into the present one through depth and camera motion, a part of it
+with the gripper, spread by a random walk, and multiplied by the correspondence likelihood. Every step is linear in the
+belief and keeps its mass: what leaves the image is outside, and comes back where the camera uncovers something it did
+not see before.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ FAR = 1e6
 
 @dataclass(frozen=True)
 class DiscreteSettings:
-    """Settings of the discrete filter. The paper's has `tau` and `restart` zero."""
+    """Settings of the discrete filter. The paper's has `tau`, `restart` and `gripper_probability` zero."""
 
     alpha: float = 4.0
     """Temperature: a pixel at distance z has likelihood exp(-alpha z)."""
@@ -56,8 +57,12 @@ class DiscreteSettings:
     outside_area: float = 1.0
     """Size of the world around the image that a keypoint may hide in, in images: the larger, the less comes back as the
     view moves on."""
-    restart: float = 1e-3
-    """Share of the belief that starts anew, anywhere in the image, in each frame: a wrong belief can be left again."""
+    restart: float = 0.03
+    """Share of the belief that starts anew, anywhere in the image, with each frame: a wrong one can be left again."""
+    gripper_probability: float = 0.35
+    """Share of the belief near the gripper that takes part in the gripper's motion, in each frame."""
+    gripper_reach: float = 0.15
+    """Metres around the gripper's frame within which it does."""
 
 
 @dataclass(frozen=True)
@@ -98,13 +103,13 @@ def discrete_step(
 
     Cameras are filtered one by one and their estimates fused. A keypoint more likely outside of an image than inside is
     not estimated from that camera; outside of all of them, it keeps its last estimate. A camera without a frame keeps
-    its last view, in which only time passes. `motion` and `rng` are unused.
+    its last view, in which only time passes. `rng` is unused.
 
     Source: von Hartz et al. 2023, Sec. III-B.
     """
     known = belief.cameras if belief else ()
     before = (*known, *[None] * (len(observations) - len(known)))  # Cameras may join.
-    filtered = [_camera_step(one, seen, settings) for one, seen in zip(before, observations, strict=True)]
+    filtered = [_camera_step(one, seen, motion, settings) for one, seen in zip(before, observations, strict=True)]
     k = len(belief.estimate.mean) if belief else n_keypoints(observations)
     now = fuse([lifted for _, lifted in filtered], k)
     given = np.array([seen is not None for seen in observations])
@@ -114,17 +119,17 @@ def discrete_step(
 
 
 def _camera_step(
-    before: CameraBelief | None, seen: Observation | None, settings: DiscreteSettings
+    before: CameraBelief | None, seen: Observation | None, motion: Motion | None, settings: DiscreteSettings
 ) -> tuple[CameraBelief | None, Lifted | None]:
     """One camera's belief, and what it says of the keypoints in 3D."""
     if seen is None:
         if before is None:
             return None, None
         still = Observation(before.inside, before.depth, before.K, before.world_from_camera)
-        posterior = predict(before, still, settings)
+        posterior = predict(before, still, replace(settings, restart=0.0), motion)
         return posterior, _lifted(posterior, np.zeros(len(posterior.outside)), before.depth.shape)
     grid, likelihood = _on_grid(seen, settings)
-    prior = _uniform(grid, likelihood.shape) if before is None else predict(before, grid, settings)
+    prior = _uniform(grid, likelihood.shape) if before is None else predict(before, grid, settings, motion)
     tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
     posterior, log_evidence = update(prior, likelihood, tau)
     return posterior, _lifted(posterior, log_evidence, seen.depth.shape)
@@ -145,17 +150,18 @@ def _lifted(belief: CameraBelief, log_evidence: Float[ndarray, "k"], image: tupl
     )
 
 
-def predict(belief: CameraBelief, seen: Observation, settings: DiscreteSettings) -> CameraBelief:
+def predict(
+    belief: CameraBelief, seen: Observation, settings: DiscreteSettings, motion: Motion | None = None
+) -> CameraBelief:
     """The belief before `seen` is looked at: carried into its pixel space, and spread.
 
-    Source: von Hartz et al. 2023, Sec. III-B.3.
+    Source: von Hartz et al. 2023, Sec. III-B.3; the gripper's part in it Eq. 4.
     """
     k, height, width = belief.inside.shape
-    if np.array_equal(belief.world_from_camera, seen.world_from_camera) and np.array_equal(belief.K, seen.K):
-        inside, outside = belief.inside, belief.outside
-    else:
-        inside = (carry(belief, seen) @ belief.inside.reshape(k, -1).T).T.reshape(k, height, width)
-        outside = belief.outside + np.maximum(belief.inside.sum(axis=(1, 2)) - inside.sum(axis=(1, 2)), 0.0)
+    inside, outside = belief.inside, belief.outside
+    if _moves(belief, seen, motion, settings):
+        inside = (carry(belief, seen, settings, motion) @ inside.reshape(k, -1).T).T.reshape(k, height, width)
+        outside = outside + np.maximum(belief.inside.sum(axis=(1, 2)) - inside.sum(axis=(1, 2)), 0.0)
         uncovered = _uncovered(belief, seen)
         back = uncovered.sum() / (uncovered.sum() + settings.outside_area * height * width)
         inside = inside + (outside * back / max(uncovered.sum(), 1))[:, None, None] * uncovered
@@ -172,32 +178,60 @@ def predict(belief: CameraBelief, seen: Observation, settings: DiscreteSettings)
     return CameraBelief(inside, outside, seen.depth, seen.K, seen.world_from_camera, belief.cell)
 
 
-def carry(belief: CameraBelief, seen: Observation) -> csr_array:
-    """The matrix (cells now, cells before) that moves mass with the camera; columns of cells that leave sum to less
-    than one.
+def _moves(belief: CameraBelief, seen: Observation, motion: Motion | None, settings: DiscreteSettings) -> bool:
+    """Whether camera or gripper do."""
+    camera_rests = np.array_equal(belief.world_from_camera, seen.world_from_camera) and np.array_equal(belief.K, seen.K)
+    if motion is None or settings.gripper_probability == 0:
+        return not camera_rests
+    return not (camera_rests and np.array_equal(motion.world_from_gripper_before, motion.world_from_gripper))
+
+
+def carry(
+    belief: CameraBelief,
+    seen: Observation,
+    settings: DiscreteSettings = DiscreteSettings(),
+    motion: Motion | None = None,
+) -> csr_array:
+    """The matrix (cells now, cells before) that moves mass with the camera, and a part of that near the gripper with
+    the gripper; columns of cells that leave sum to less than one.
 
     A cell's mass goes to the four cells around the place its centre moves to, so that slow motions, too, add up over
     frames. A cell without depth borrows that of the nearest cell that has some.
     """
     height, width = belief.depth.shape
     depth = np.nan_to_num(fill_depth(belief.depth), nan=FAR).astype(np.float64)
-    now_from_before = invert_rigid(seen.world_from_camera) @ belief.world_from_camera
-    points = transform(now_from_before, unproject(pixel_grid(height, width), depth, belief.K)).reshape(-1, 3)
-    uv = np.round(project(points, seen.K)[0], 9)  # so that a camera that moves by whole pixels does not blur
+    points_camera = unproject(pixel_grid(height, width), depth, belief.K).reshape(-1, 3)
+    points_world = transform(belief.world_from_camera, points_camera)
+    everything = np.ones(len(points_world))
+    if motion is None or settings.gripper_probability == 0:
+        return _to_cells(points_world, everything, seen, (height, width))
+    now_from_before = motion.world_from_gripper @ invert_rigid(motion.world_from_gripper_before)
+    apart = np.linalg.norm(points_world - motion.world_from_gripper_before[:3, 3], axis=-1)
+    held = settings.gripper_probability * (apart < settings.gripper_reach)
+    rests = _to_cells(points_world, everything - held, seen, (height, width))
+    return rests + _to_cells(transform(now_from_before, points_world), held, seen, (height, width))
+
+
+def _to_cells(
+    points_world: Float[ndarray, "n 3"], share: Float[ndarray, "n"], seen: Observation, size: tuple[int, int]
+) -> csr_array:
+    """The matrix that brings this share of each cell's mass to the four cells around the place of its point."""
+    height, width = size
+    uv = project(transform(invert_rigid(seen.world_from_camera), points_world), seen.K)[0]
+    uv = np.round(uv, 9)  # so that a camera that moves by whole pixels does not blur
     uv = np.clip(np.nan_to_num(uv, nan=-9.0), -9.0, max(height, width) + 9.0)
     corner = np.floor(uv).astype(int)
     part = uv - corner
     rows, columns, values = [], [], []
     for du, dv in ((0, 0), (1, 0), (0, 1), (1, 1)):
         u, v = corner[:, 0] + du, corner[:, 1] + dv
-        weight = (part[:, 0] if du else 1 - part[:, 0]) * (part[:, 1] if dv else 1 - part[:, 1])
+        weight = share * (part[:, 0] if du else 1 - part[:, 0]) * (part[:, 1] if dv else 1 - part[:, 1])
         (kept,) = np.nonzero((u >= 0) & (u < width) & (v >= 0) & (v < height) & (weight > 0))
         rows.append(v[kept] * width + u[kept])
         columns.append(kept)
         values.append(weight[kept])
-    n_cells = height * width
     indices = (np.concatenate(rows), np.concatenate(columns))
-    return csr_array((np.concatenate(values), indices), shape=(n_cells, n_cells))
+    return csr_array((np.concatenate(values), indices), shape=(height * width, height * width))
 
 
 def _uncovered(belief: CameraBelief, seen: Observation) -> Bool[ndarray, "h w"]:

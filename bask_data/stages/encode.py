@@ -94,12 +94,12 @@ class EncodeParams(Params):
         None,
         ge=0,
         le=1,
-        description="Particle: probability that a particle near the gripper moves with it. Default: 0.2.",
+        description="Particle, discrete: probability that what is near the gripper moves with it. Default: 0.2, 0.35.",
     )
     gripper_reach: float | None = Field(
         None,
         ge=0,
-        description="Particle: metres around the gripper within which particles may move with it. Default: 0.15.",
+        description="Particle, discrete: metres around the gripper within which it may. Default: 0.15.",
     )
     dropout: float = Field(
         0.0,
@@ -121,7 +121,7 @@ class EncodeParams(Params):
         return () if kind == Truth.kind and self.source == "network" else None
 
 
-@stage(makes=KeypointTrack, version=3, resumable=True)
+@stage(makes=KeypointTrack, version=4, resumable=True)
 def encode(
     demonstration: Demonstration,
     descriptor: DescriptorNet,

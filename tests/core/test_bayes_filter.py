@@ -98,7 +98,9 @@ def test_the_paper_and_its_code_differ_where_they_do() -> None:
     assert (code.depth_noise, code.depth_noise_floor) == (0.02, 0.001)
     assert math.isclose(code.tau, 0.25 * math.exp(-4))
     assert own == ParticleSettings()
-    assert settings_named("discrete", "paper") == DiscreteSettings(alpha=4.0, walk_px=2.0, tau=0.0, restart=0.0)
+    assert settings_named("discrete", "paper") == DiscreteSettings(
+        alpha=4.0, walk_px=2.0, tau=0.0, restart=0.0, gripper_probability=0.0
+    )
     assert settings_named("expectation", "paper").alpha == 4.0
     assert settings_named("expectation").alpha == 20.0
 

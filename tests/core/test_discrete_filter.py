@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bask_data.core.discrete_filter import CameraBelief, DiscreteSettings, carry, discrete_step, predict
-from bask_data.core.heatmap import Observation
+from bask_data.core.heatmap import Motion, Observation
 
 SMALL_K = np.array([[4.0, 0, 1.0], [0, 4.0, 1.0], [0, 0, 1]])
 
@@ -21,29 +21,42 @@ def camera_at(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) 
     return world_from_camera
 
 
-def transition_by_hand(before: Observation, now: Observation, settings: DiscreteSettings) -> np.ndarray:
+def transition_by_hand(
+    before: Observation, now: Observation, motion: Motion | None, settings: DiscreteSettings
+) -> np.ndarray:
     """The matrix (states now, states before), cell by cell; the last state is outside. Depth has no holes here."""
     height, width = before.depth.shape
     n = height * width
     index = {(v, u): v * width + u for v in range(height) for u in range(width)}
 
-    def seen_from(a: Observation, v: int, u: int, b: Observation) -> tuple[float, float]:
+    def point_at(a: Observation, v: int, u: int) -> np.ndarray:
         d = float(a.depth[v, u])
         point = np.array([(u - a.K[0, 2]) / a.K[0, 0] * d, (v - a.K[1, 2]) / a.K[1, 1] * d, d, 1.0])
-        x, y, z, _ = np.linalg.inv(b.world_from_camera) @ a.world_from_camera @ point
+        return a.world_from_camera @ point
+
+    def seen_from(point: np.ndarray, b: Observation) -> tuple[float, float]:
+        x, y, z, _ = np.linalg.inv(b.world_from_camera) @ point
         return b.K[0, 0] * x / z + b.K[0, 2], b.K[1, 1] * y / z + b.K[1, 2]
 
     warp = np.zeros((n + 1, n + 1))
     warp[n, n] = 1
     for (v, u), i in index.items():
-        new_u, new_v = seen_from(before, v, u, now)
-        for dv, du in itertools.product((0, 1), (0, 1)):
-            corner_v, corner_u = int(np.floor(new_v)) + dv, int(np.floor(new_u)) + du
-            weight = (1 - abs(new_u - corner_u)) * (1 - abs(new_v - corner_v))
-            warp[index.get((corner_v, corner_u), n), i] += weight
+        point = point_at(before, v, u)
+        shares = [(1.0, point)]
+        if motion is not None:
+            gripper = motion.world_from_gripper_before
+            if np.linalg.norm(point[:3] - gripper[:3, 3]) < settings.gripper_reach:
+                p = settings.gripper_probability
+                shares = [(1 - p, point), (p, motion.world_from_gripper @ np.linalg.inv(gripper) @ point)]
+        for share, moved in shares:
+            new_u, new_v = seen_from(moved, now)
+            for dv, du in itertools.product((0, 1), (0, 1)):
+                corner_v, corner_u = int(np.floor(new_v)) + dv, int(np.floor(new_u)) + du
+                weight = (1 - abs(new_u - corner_u)) * (1 - abs(new_v - corner_v))
+                warp[index.get((corner_v, corner_u), n), i] += share * weight
     uncovered = []
     for (v, u), i in index.items():
-        old_u, old_v = seen_from(now, v, u, before)
+        old_u, old_v = seen_from(point_at(now, v, u), before)
         if not (-0.5 <= old_u < width - 0.5 and -0.5 <= old_v < height - 0.5):
             uncovered.append(i)
     back = len(uncovered) / (len(uncovered) + settings.outside_area * n)
@@ -66,9 +79,11 @@ def transition_by_hand(before: Observation, now: Observation, settings: Discrete
 
 
 @settings(max_examples=12, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(2, 4), st.integers(2, 3), st.booleans())
-def test_the_posterior_is_the_sum_over_all_paths(seed: int, height: int, width: int, is_fixed: bool) -> None:
-    """Any motions, any small grid, tau given or not; one path for each state of each of three frames."""
+@given(st.integers(0, 2**32 - 1), st.integers(2, 4), st.integers(2, 3), st.booleans(), st.booleans())
+def test_the_posterior_is_the_sum_over_all_paths(
+    seed: int, height: int, width: int, is_fixed: bool, has_gripper: bool
+) -> None:
+    """Any motions of camera and gripper, any small grid, tau given or not; one path for each state of each frame."""
     rng = np.random.default_rng(seed)
     chosen = DiscreteSettings(
         alpha=float(rng.uniform(0.5, 6)),
@@ -76,6 +91,8 @@ def test_the_posterior_is_the_sum_over_all_paths(seed: int, height: int, width: 
         tau=float(rng.uniform(0.01, 0.5)) if is_fixed else None,
         outside_area=float(rng.uniform(0.3, 2)),
         restart=float(rng.uniform(0, 0.1)),
+        gripper_probability=float(rng.uniform(0, 1)),
+        gripper_reach=float(rng.uniform(0.1, 0.5)),
     )
     cameras = [camera_at(*rng.uniform(-0.2, 0.2, 3), rng.uniform(-0.3, 0.3)) for _ in range(3)]
     frames = [
@@ -94,7 +111,12 @@ def test_the_posterior_is_the_sum_over_all_paths(seed: int, height: int, width: 
         some = np.exp(-chosen.alpha * frame.distance[:, ::2, ::2].astype(np.float64)).mean(axis=(1, 2))
         tau = np.minimum(2 * some, 0.3) if chosen.tau is None else np.full(2, chosen.tau)
         likelihoods.append(np.concatenate([likelihood, tau[:, None]], axis=1))
-    transitions = [transition_by_hand(a, b, chosen) for a, b in itertools.pairwise(frames)]
+    grippers = [camera_at(*rng.uniform(-0.2, 0.2, 2), rng.uniform(0.8, 1.2), rng.uniform(-0.3, 0.3)) for _ in range(3)]
+    motions = [None, Motion(grippers[0], grippers[1]), Motion(grippers[1], grippers[2]) if has_gripper else None]
+    transitions = [
+        transition_by_hand(a, b, motion, chosen)
+        for (a, b), motion in zip(itertools.pairwise(frames), motions[1:], strict=True)
+    ]
     for transition in transitions:
         np.testing.assert_allclose(transition.sum(axis=0), 1.0)
 
@@ -108,8 +130,8 @@ def test_the_posterior_is_the_sum_over_all_paths(seed: int, height: int, width: 
     posterior /= evidence[:, None]
 
     belief, log_evidence = None, np.zeros(2)
-    for frame in frames:
-        belief, estimate = discrete_step(belief, [frame], settings=chosen)
+    for frame, motion in zip(frames, motions, strict=True):
+        belief, estimate = discrete_step(belief, [frame], motion, settings=chosen)
         log_evidence += estimate.log_evidence
     got = np.concatenate([belief.cameras[0].inside.reshape(2, -1), belief.cameras[0].outside[:, None]], axis=1)
     np.testing.assert_allclose(got, posterior, atol=1e-6)
@@ -194,6 +216,37 @@ def test_without_any_depth_the_rotation_still_carries_the_belief() -> None:
     turned = view(flat(), camera_at(0.03, yaw=np.arctan(0.05)), nothing)
     after = predict(belief.cameras[0], turned, DiscreteSettings(walk_px=0.0, restart=0.0))
     assert np.unravel_index(after.inside[0].argmax(), (20, 30)) == (10, 10)
+
+
+def test_what_the_gripper_holds_stays_where_a_camera_on_it_sees_it() -> None:
+    """The camera is the gripper's; all that it sees is within reach, or nothing is."""
+    distance = flat()
+    distance[0, 10, 15] = 0
+    belief, _ = discrete_step(None, [view(distance, np.eye(4))], settings=DiscreteSettings(alpha=30.0))
+    turned = camera_at(0.02, -0.01, 0.03, yaw=0.1)
+    for reach, place in ((2.0, (10, 15)), (0.5, (11, 3))):
+        held = DiscreteSettings(walk_px=0.0, restart=0.0, gripper_probability=1.0, gripper_reach=reach)
+        after = predict(belief.cameras[0], view(flat(), turned), held, Motion(np.eye(4), turned))
+        assert np.unravel_index(after.inside[0].argmax(), (20, 30)) == place
+
+
+def test_what_is_carried_past_a_camera_that_stands_still_is_followed() -> None:
+    """A blob in the hand, seven pixels a frame; without the gripper's motion it is not."""
+    errors = []
+    for probability in (DiscreteSettings().gripper_probability, 0.0):
+        settings = DiscreteSettings(gripper_probability=probability)
+        belief, before = None, None
+        for x in np.linspace(-0.25, 0.25, 8):
+            gripper, u = camera_at(x, 0, 1), round(29.5 + 100 * x)
+            distance = flat(height=40, width=60)
+            distance[0, 17:24, u - 3 : u + 4] = 0.2
+            motion = None if before is None else Motion(before, gripper)
+            belief, estimate = discrete_step(belief, [view(distance, np.eye(4))], motion, settings=settings)
+            before = gripper
+        errors.append(np.linalg.norm(estimate.mean[0] - [0.25, 0.005, 1]))
+    followed, lost = errors
+    assert followed < 0.02
+    assert lost > 0.05
 
 
 def pan(turn: float, twin: bool = False) -> Observation:

@@ -87,5 +87,5 @@ def step(
     if isinstance(settings, ParticleSettings):
         return particle_step(belief, observations, motion, rng, settings)
     if isinstance(settings, DiscreteSettings):
-        return discrete_step(belief, observations, settings)
+        return discrete_step(belief, observations, motion, settings)
     return expectation_step(belief, observations, settings)

@@ -6,12 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float64
 from torch import Tensor
 
 from bask_data.core.discrete_filter import FAR, LEAST_EVIDENCE, CameraBelief, DiscreteBelief, DiscreteSettings
-from bask_data.core.heatmap import fill_depth
+from bask_data.core.geometry import invert_rigid
+from bask_data.core.heatmap import Motion, fill_depth
 from bask_data.nn.filters.frames import (
     TensorEstimate,
     TensorObservation,
@@ -72,12 +74,15 @@ def discrete_belief_from(belief: TensorDiscreteBelief) -> DiscreteBelief:
 
 
 def discrete_step(
-    belief: TensorDiscreteBelief | None, observations: Sequence[TensorObservation | None], settings: DiscreteSettings
+    belief: TensorDiscreteBelief | None,
+    observations: Sequence[TensorObservation | None],
+    motion: Motion | None,
+    settings: DiscreteSettings,
 ) -> tuple[TensorDiscreteBelief, TensorEstimate]:
     """Belief and estimate after one more frame: `core.discrete_filter.discrete_step` on tensors."""
     known = belief.cameras if belief else ()
     before = (*known, *[None] * (len(observations) - len(known)))
-    filtered = [_camera_step(one, seen, settings) for one, seen in zip(before, observations, strict=True)]
+    filtered = [_camera_step(one, seen, motion, settings) for one, seen in zip(before, observations, strict=True)]
     k = len(belief.estimate.mean) if belief else n_keypoints(observations)
     now = fuse([lifted for _, lifted in filtered], k)
     given = torch.tensor([seen is not None for seen in observations], device=now.mean.device)
@@ -89,17 +94,20 @@ def discrete_step(
 
 
 def _camera_step(
-    before: TensorCameraBelief | None, seen: TensorObservation | None, settings: DiscreteSettings
+    before: TensorCameraBelief | None,
+    seen: TensorObservation | None,
+    motion: Motion | None,
+    settings: DiscreteSettings,
 ) -> tuple[TensorCameraBelief | None, TensorLifted | None]:
     """One camera's belief, and what it says of the keypoints in 3D."""
     if seen is None:
         if before is None:
             return None, None
-        posterior = _predicted(before, before.view, settings)
+        posterior = _predicted(before, before.view, motion, replace(settings, restart=0.0))
         return posterior, _lifted(posterior, torch.zeros_like(posterior.outside), before.view.depth.shape)
     likelihood = _likelihood(seen, settings)
     view = view_of(seen, (likelihood.shape[1], likelihood.shape[2]))
-    prior = _uniform(likelihood, view, seen) if before is None else _predicted(before, view, settings)
+    prior = _uniform(likelihood, view, seen) if before is None else _predicted(before, view, motion, settings)
     tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
     inside, outside = prior.inside * likelihood, prior.outside * tau
     evidence = (inside.sum(dim=(1, 2)) + outside).clamp(min=LEAST_EVIDENCE)
@@ -144,13 +152,15 @@ def _uniform(likelihood: Float64[Tensor, "k h w"], view: View, seen: TensorObser
     return TensorCameraBelief(inside, inside.new_zeros(len(inside)), view, cell)
 
 
-def _predicted(belief: TensorCameraBelief, view: View, settings: DiscreteSettings) -> TensorCameraBelief:
+def _predicted(
+    belief: TensorCameraBelief, view: View, motion: Motion | None, settings: DiscreteSettings
+) -> TensorCameraBelief:
     """The belief before its camera's frame is looked at: carried into the frame's pixel space, and spread."""
     inside, outside = belief.inside, belief.outside
     n_cells = inside[0].numel()
     before = belief.view
-    if not (torch.equal(before.world_from_camera, view.world_from_camera) and torch.equal(before.K, view.K)):
-        inside = _carried(inside, before, view)
+    if _moves(before, view, motion, settings):
+        inside = _carried(inside, before, view, motion, settings)
         outside = outside + (belief.inside.sum(dim=(1, 2)) - inside.sum(dim=(1, 2))).clamp(min=0)
         uncovered = _uncovered(before, view)
         back = uncovered.sum() / (uncovered.sum() + settings.outside_area * n_cells)
@@ -176,33 +186,59 @@ def _blur(n: int, sigma: Float64[Tensor, ""]) -> Float64[Tensor, "n n"]:
     return torch.where(apart <= reach, (-0.5 * (apart / sigma).square()).exp(), 0.0) / total
 
 
-def _seen_from(view: View, other: View) -> Float64[Tensor, "n 2"]:
-    """The pixels of `other` at which it has what the pixels of `view` show; NaN behind it."""
+def _moves(before: View, now: View, motion: Motion | None, settings: DiscreteSettings) -> bool:
+    """Whether camera or gripper do."""
+    camera_rests = torch.equal(before.world_from_camera, now.world_from_camera) and torch.equal(before.K, now.K)
+    if motion is None or settings.gripper_probability == 0:
+        return not camera_rests
+    return not (camera_rests and np.array_equal(motion.world_from_gripper_before, motion.world_from_gripper))
+
+
+def _points(view: View) -> Float64[Tensor, "n 3"]:
+    """What the pixels show, world frame."""
     points_camera = unproject(view.pixels(), view.filled.nan_to_num(nan=FAR), view.K).flatten(0, 1)
-    points = transform(view.world_from_camera, points_camera)
-    rotation, position = other.world_from_camera[:3, :3], other.world_from_camera[:3, 3]
-    return project((points - position) @ rotation, other.K).round(decimals=9)
+    return transform(view.world_from_camera, points_camera)
 
 
-def _carried(inside: Float64[Tensor, "k h w"], before: View, now: View) -> Float64[Tensor, "k h w"]:
-    """Mass moved with the camera, each cell's to the four cells around the place its centre moves to."""
-    _, height, width = inside.shape
-    uv = _seen_from(before, now).nan_to_num(nan=-9.0).clamp(-9.0, max(height, width) + 9.0)
+def _seen_from(points_world: Float64[Tensor, "n 3"], view: View) -> Float64[Tensor, "n 2"]:
+    """The pixels at which `view` has these points; NaN behind it."""
+    rotation, position = view.world_from_camera[:3, :3], view.world_from_camera[:3, 3]
+    return project((points_world - position) @ rotation, view.K).round(decimals=9)
+
+
+def _carried(
+    inside: Float64[Tensor, "k h w"], before: View, now: View, motion: Motion | None, settings: DiscreteSettings
+) -> Float64[Tensor, "k h w"]:
+    """Mass moved with the camera, a part of that near the gripper with the gripper."""
+    points, mass = _points(before), inside.flatten(1)
+    if motion is None or settings.gripper_probability == 0:
+        return _to_cells(mass, points, now).reshape(inside.shape)
+    now_from_before = motion.world_from_gripper @ invert_rigid(motion.world_from_gripper_before)
+    apart = (points - points.new_tensor(motion.world_from_gripper_before[:3, 3])).norm(dim=-1)
+    held = settings.gripper_probability * (apart < settings.gripper_reach)
+    moved = transform(points.new_tensor(now_from_before), points)
+    return (_to_cells(mass * (1 - held), points, now) + _to_cells(mass * held, moved, now)).reshape(inside.shape)
+
+
+def _to_cells(mass: Float64[Tensor, "k n"], points_world: Float64[Tensor, "n 3"], view: View) -> Float64[Tensor, "k n"]:
+    """Each cell's mass brought to the four cells around the place of its point."""
+    height, width = view.depth.shape
+    uv = _seen_from(points_world, view).nan_to_num(nan=-9.0).clamp(-9.0, max(height, width) + 9.0)
     corner = uv.floor()
     part_u, part_v = (uv - corner).unbind(-1)
-    mass, carried = inside.flatten(1), torch.zeros_like(inside).flatten(1)
+    carried = torch.zeros_like(mass)
     for du, dv in ((0, 0), (1, 0), (0, 1), (1, 1)):
         u, v = corner[:, 0].long() + du, corner[:, 1].long() + dv
         weight = (part_u if du else 1 - part_u) * (part_v if dv else 1 - part_v)
         weight = torch.where((u >= 0) & (u < width) & (v >= 0) & (v < height), weight, 0.0)
         carried.index_add_(1, v.clamp(0, height - 1) * width + u.clamp(0, width - 1), mass * weight)
-    return carried.reshape(inside.shape)
+    return carried
 
 
 def _uncovered(before: View, now: View) -> Bool[Tensor, "h w"]:
     """Cells that show what the view before did not reach."""
     height, width = now.depth.shape
-    u, v = _seen_from(now, before).unbind(-1)
+    u, v = _seen_from(_points(now), before).unbind(-1)
     return ~((u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)).reshape(height, width)
 
 
