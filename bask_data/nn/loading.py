@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
@@ -23,8 +23,12 @@ class Waited:
     seconds: float = 0.0
 
 
-def ahead(make: Callable[[int], T], steps: Iterator[int], n_steps: int, waited: Waited) -> Iterator[tuple[int, T]]:
+def ahead(
+    make: Callable[[int], T], steps: Iterator[int], n_steps: int, waited: Waited
+) -> Generator[tuple[int, T], None, None]:
     """What `make` gives for each step, in order, made by threads: OpenCV, NumPy and zarr let go of Python's lock.
+
+    Close it when it is not used to its end: its threads would else run on until the garbage collector comes by.
 
     Args:
         steps: numbers of steps, one after the other; none is made from `n_steps` on.

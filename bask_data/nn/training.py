@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal
@@ -125,13 +126,14 @@ def train_network(
         return [made_of(source, settings.seed, step, sample, augment, examples) for examples in run.parts]
 
     numbers = steps(range(run.progress.step, run.last_step))
-    for step, batches in ahead(make, numbers, settings.steps, run.clock.waited):
-        run.learn(step, batches)
-        validates = validate is not None and run.is_at(settings.validate_every)
-        if validates or run.is_at(settings.log_every):
-            run.round_off(validate if validates else None, watch)
-        if run.progress.step >= run.last_step:
-            break
+    with closing(ahead(make, numbers, settings.steps, run.clock.waited)) as made:
+        for step, batches in made:
+            run.learn(step, batches)
+            validates = validate is not None and run.is_at(settings.validate_every)
+            if validates or run.is_at(settings.log_every):
+                run.round_off(validate if validates else None, watch)
+            if run.progress.step >= run.last_step:
+                break
     if run.progress.best:
         network.load_state_dict(run.progress.best)
     network.eval()

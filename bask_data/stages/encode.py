@@ -5,8 +5,9 @@ from __future__ import annotations
 import shutil
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import asdict
 from itertools import compress
 from pathlib import Path
@@ -157,7 +158,8 @@ def cameras_of(demonstration: Demonstration, wanted: tuple[str, ...] = ()) -> li
     known = demonstration.camera_names
     for name in wanted:
         if name not in known:
-            raise UsageError(demonstration.path, "cameras", expected=f"some of {', '.join(known)}", got=name)
+            fix = "leave --cameras out to use all of them."
+            raise UsageError(demonstration.path, "cameras", expected=f"some of {', '.join(known)}", got=name, fix=fix)
     cameras = [demonstration.camera(name) for name in known if not wanted or name in wanted]
     n_frames = cameras[0].n_frames
     for camera in cameras:
@@ -237,10 +239,14 @@ def _track(
             if _append(writer, names, tracker.update(tracker.look(*moment, described), gripper)):
                 tracker.save(out / STATE)
 
-        # The network is what takes long. It has this thread to itself: one reads ahead of it, another one follows.
-        described = _described(tracker, cameras, shown, begin)
-        for _ in progress(_beside(track, described), "tracking keypoints", n_frames - begin):
-            pass
+        # The network is what takes long. It has this thread to itself: one reads ahead of it, another one follows. Both
+        # end here, whatever fails: ended by the garbage collector, on a thread they need, they would wait for ever.
+        with (
+            closing(_described(tracker, cameras, shown, begin)) as described,
+            closing(_beside(track, described)) as tracked,
+        ):
+            for _ in progress(tracked, "tracking keypoints", n_frames - begin):
+                pass
     (out / STATE).unlink(missing_ok=True)
     n_done, seconds = n_frames - begin, time.monotonic() - begun
     tell(f"{n_done} frames of {len(cameras)} cameras in {seconds:.1f} s, {n_done / max(seconds, 1e-9):.1f} a second")
@@ -281,18 +287,19 @@ def _append(writer: KeypointsWriter, cameras: list[str], found: Keypoints) -> bo
 
 def _described(
     tracker: KeypointTracker, cameras: list[Camera], shown: np.ndarray, begin: int
-) -> Iterator[tuple[Moment, Described]]:
+) -> Generator[tuple[Moment, Described], None, None]:
     """What the cameras that are looked at show in each frame from `begin` on, and its descriptors."""
     from bask_data.tracker import moment_of
 
     def read(i_frame: int) -> Moment:
         return moment_of(compress(cameras, shown[i_frame]), i_frame)
 
-    for moment in _beside(read, range(begin, len(shown))):
-        yield moment, tracker.describe(moment.images)
+    with closing(_beside(read, range(begin, len(shown)))) as moments:
+        for moment in moments:
+            yield moment, tracker.describe(moment.images)
 
 
-def _beside(function: Callable[[A], B], items: Iterable[A]) -> Iterator[B]:
+def _beside(function: Callable[[A], B], items: Iterable[A]) -> Generator[B, None, None]:
     """What a function gives for each item, in order, computed by a thread of its own: it may be a few items ahead of
     whoever takes them, and behind whoever gives them. After one that fails it takes no other."""
     waiting: deque[Future[B]] = deque()
@@ -302,7 +309,7 @@ def _beside(function: Callable[[A], B], items: Iterable[A]) -> Iterator[B]:
             before.result()
         return function(item)
 
-    with ThreadPoolExecutor(1) as pool:
+    with ThreadPoolExecutor(1, thread_name_prefix="encode") as pool:
         try:
             for item in items:
                 waiting.append(pool.submit(in_turn, item, waiting[-1] if waiting else None))

@@ -14,6 +14,7 @@ from bask_data.nn.sampling import SampleSettings, batch_of_step, plan_of_step
 from bask_data.nn.state import BEST, STATE
 from bask_data.nn.training import TrainingSettings, best_step, learning_rate, train_network, uses_bfloat16
 from tests.nn.pairs import ScenePairs
+from tests.threads import no_garbage_collector, threads_named
 
 SAMPLE = SampleSettings((32, 40), n_pairs=1, n_matches=24, n_non_matches=30, foreground_share=0.5, clearance=1.0)
 SETTINGS = TrainingSettings(steps=6, learning_rate=1e-3, precision="float32", log_every=2, save_share=inf)
@@ -313,8 +314,10 @@ def test_a_loss_that_is_no_number_stops_training():
     network = new_network()
     with torch.no_grad():
         network.encoder.head.weight.fill_(float("nan"))
-    with pytest.raises(FloatingPointError, match="loss is nan at step 2; a smaller learning rate may help"):
-        train_network(network, ScenePairs(), SAMPLE, AUGMENT, SETTINGS)
+    with no_garbage_collector():
+        with pytest.raises(FloatingPointError, match="loss is nan at step 2; a smaller learning rate may help"):
+            train_network(network, ScenePairs(), SAMPLE, AUGMENT, SETTINGS)
+        assert not threads_named("batches")
 
 
 @pytest.mark.parametrize(("share", "expected"), [(inf, [2, 4, 6]), (0.0, [2, 6])])
