@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from bask_data.cli import app
 from bask_data.dataset import Dataset
-from bask_data.kinds import ReferenceKeypoints
+from bask_data.kinds import Recording, ReferenceKeypoints
 from bask_data.picker.desk import Desk
 from bask_data.picker.draft import Draft, Mark
 from bask_data.picker.gallery import Gallery
@@ -63,8 +63,14 @@ def dataset(tmp_path_factory) -> Dataset:
 
 @pytest.fixture
 def served(dataset, tmp_path) -> Iterator[Served]:
+    with served_of(recordings_of(dataset), tmp_path) as server:
+        yield server
+
+
+@contextmanager
+def served_of(recordings: dict[str, Recording], tmp_path: Path) -> Iterator[Served]:
     desk = Desk(
-        Gallery(recordings_of(dataset), untrained()),
+        Gallery(recordings, untrained()),
         Draft(tmp_path / "picks.json"),
         propose=lambda scene, n: [
             Mark(name=f"object_{i}", recording=scene, camera="wrist", frame=1, u=40 + i, v=50) for i in range(n)
@@ -73,8 +79,10 @@ def served(dataset, tmp_path) -> Iterator[Served]:
         title="table",
     )
     server = Served(desk)
-    yield server
-    server.end()
+    try:
+        yield server
+    finally:
+        server.end()
 
 
 def opened(page, url: str) -> None:
@@ -183,6 +191,12 @@ def test_sixteen_points_over_two_objects_survive_a_reload_and_are_saved(page, da
     assert (len(section["picks"]), section["auto"]) == (16, False)
     rows = json.loads(CliRunner().invoke(app, ["status", str(dataset.root), "--json"]).stdout)["artifacts"]
     assert {"stage": "reference", "label": "reference", "status": "up to date", "why": ""} in rows
+
+
+def test_a_single_recording_fills_every_view(page, dataset, tmp_path) -> None:
+    with served_of({"a": recordings_of(dataset)["a"]}, tmp_path) as server:
+        opened(page, server.url)
+        assert page.locator(".view.ready").count() == 7
 
 
 def test_a_point_is_dragged_named_and_deleted(page, served) -> None:

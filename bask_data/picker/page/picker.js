@@ -291,11 +291,11 @@ function suggested(main, turn) {
   const scans = rotate(others.filter((one) => one.scope === "scene"));
   const demonstrations = rotate(others.filter((one) => one.scope === "demonstration"));
   const camera = cameraOf(main), frames = [];
-  const shares = [0.37, 0.71, 0.18, 0.55, 0.9].map((share) => (share + 0.13 * turn) % 1);
+  const shares = [0.37, 0.71, 0.18, 0.55, 0.9, 0.27].map((share) => (share + 0.13 * turn) % 1);
   const own = (share) => [main[0], main[1], (main[2] + Math.round(share * camera.n_frames)) % camera.n_frames];
   const at = (one, i) => {
     const seen = one.cameras[i % one.cameras.length];
-    return [one.name, seen.name, Math.round(shares[i % 5] * (seen.n_frames - 1))];
+    return [one.name, seen.name, Math.round(shares[i % shares.length] * (seen.n_frames - 1))];
   };
   frames.push(own(shares[0]), own(shares[1]));
   const rest = [];
@@ -303,7 +303,7 @@ function suggested(main, turn) {
     if (demonstrations[i]) rest.push(at(demonstrations[i], i));
     if (scans[i]) rest.push(at(scans[i], i));
   }
-  for (let i = 2; rest.length < N_OTHERS - 2 && i < 5; i++) rest.push(own(shares[i]));
+  for (let i = 2; rest.length < N_OTHERS - 2 && i < shares.length; i++) rest.push(own(shares[i]));
   return [...frames, ...rest].slice(0, N_OTHERS);
 }
 
