@@ -29,9 +29,11 @@ class BaskError(Exception):
         self.expected = expected
         self.got = str(got)
         self.fix = fix
-        super().__init__(self._message())
+        super().__init__(f"{self.fault}  fix: {fix}" if fix else self.fault)
 
-    def _message(self) -> str:
+    @property
+    def fault(self) -> str:
+        """The message without the way to mend it."""
         parts = [self.where] if self.where else []
         if self.field:
             parts.append(self.field)
@@ -45,8 +47,7 @@ class BaskError(Exception):
         )
         if difference:
             parts.append(difference + ".")
-        message = ": ".join(parts)
-        return f"{message}  fix: {self.fix}" if self.fix else message
+        return ": ".join(parts)
 
     def __reduce__(self) -> tuple[object, ...]:
         # Keyword-only arguments do not survive the default pickling, and errors cross process pools.

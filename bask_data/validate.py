@@ -55,7 +55,7 @@ def validate(dataset: Dataset) -> list[Problem]:
             problems += _files(artifact, dataset.root)
             problems += _schema(artifact, dataset.root)
         except BaskError as error:
-            problems.append(Problem(_relative(artifact.path, dataset.root), str(error), _remake(artifact)))
+            problems.append(Problem(_relative(artifact.path, dataset.root), error.fault, _remake(artifact)))
     problems += _unlisted(dataset)
     return problems
 

@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from bask_data.artifact import ArraySpec, Artifact, Metadata, TableSpec
+from bask_data.artifact import LOOK, ArraySpec, Artifact, Metadata, TableSpec
 from bask_data.errors import BadData
 from bask_data.kinds.arrays import read_all, start, write_array
 from bask_data.kinds.tables import read_table, write_table
@@ -149,7 +149,8 @@ class Reconstruction(Artifact):
         triangles = read_all(self.group, "triangles", self.path)
         n_vertices = len(self.vertices)
         if triangles.size and (triangles.min() < 0 or triangles.max() >= n_vertices):
-            raise BadData(self.path, "triangles", expected=f"indices below {n_vertices}", got=str(triangles.max()))
+            expected, got = f"indices below {n_vertices}", str(triangles.max())
+            raise BadData(self.path, "triangles", expected=expected, got=got, fix=LOOK)
         return triangles
 
     @cached_property

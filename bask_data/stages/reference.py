@@ -38,6 +38,9 @@ N_CANDIDATES = 120
 BORDERS = (0.02, 0.01, 0.0)
 """Distances from a mask's edge, as shares of the image's height; the next is tried where an object is too slim."""
 
+PICK = "`bask-data reference --pick` opens a page to choose them on."
+"""What spares writing picks by hand."""
+
 
 class ReferenceParams(Params):
     """How keypoints are chosen, or which they are."""
@@ -94,7 +97,8 @@ def reference(
                 fix="see `bask-data objects --help`, or what its notes say.",
             )
         if name not in by_name:
-            raise UsageError("reference", "scene", expected=f"one of {', '.join(by_name)}", got=name)
+            fix = "leave --scene out to take the first that has objects."
+            raise UsageError("reference", "scene", expected=f"one of {', '.join(by_name)}", got=name, fix=fix)
         picks, descriptors = chosen(params, name, *by_name[name], network)
     ReferenceKeypoints.write(out, descriptors=descriptors, picks=picks)
 
@@ -114,7 +118,9 @@ def _picked(
         uv = np.array([[pick.u, pick.v]], dtype=np.float32)
         descriptors.append(network.descriptors_at(camera.rgb(pick.frame), uv)[0].cpu().numpy())
         if any(pick.name == other.name for other in picks):
-            raise UsageError("reference", "picks", expected="names that differ", got=f"{pick.name} twice")
+            raise UsageError(
+                "reference", "picks", expected="names that differ", got=f"{pick.name} twice", fix="rename one of them."
+            )
         picks.append(pick.model_copy(update=_shown(pick, camera, masks.get(pick.recording))))
     return picks, np.stack(descriptors)
 
@@ -143,25 +149,26 @@ def parsed(text: str, name: str, recordings: Mapping[str, Recording]) -> tuple[P
     """
     parts = text.split(":")
     if len(parts) not in (5, 6):
-        raise UsageError(
-            "reference", "picks", expected="recording:camera:frame:u:v or recording:camera:frame:u:v:name", got=text
-        )
+        expected = "recording:camera:frame:u:v or recording:camera:frame:u:v:name"
+        raise UsageError("reference", "picks", expected=expected, got=text, fix=PICK)
     recording, camera_name = parts[:2]
     if recording not in recordings:
         # Which others there are is not known here: picks read the recordings they name, and no more.
-        raise UsageError("reference", "picks", expected="the name of a scan or demonstration of the dataset", got=text)
+        expected = "the name of a scan or demonstration of the dataset"
+        raise UsageError("reference", "picks", expected=expected, got=text, fix=PICK)
     cameras = recordings[recording].camera_names
     if camera_name not in cameras:
-        raise UsageError("reference", "picks", expected=f"one of the cameras {', '.join(cameras)}", got=text)
+        expected = f"one of the cameras {', '.join(cameras)}"
+        raise UsageError("reference", "picks", expected=expected, got=text, fix=PICK)
     camera = recordings[recording].camera(camera_name)
     try:
         frame, u, v = int(parts[2]), float(parts[3]), float(parts[4])
     except ValueError as error:
-        raise UsageError("reference", "picks", expected="numbers for frame, u and v", got=text) from error
+        raise UsageError("reference", "picks", expected="numbers for frame, u and v", got=text, fix=PICK) from error
     inside = 0 <= frame < camera.n_frames and -0.5 <= u < camera.width - 0.5 and -0.5 <= v < camera.height - 0.5
     if not inside:
         size = f"frame 0..{camera.n_frames - 1}, u 0..{camera.width - 1}, v 0..{camera.height - 1}"
-        raise UsageError("reference", "picks", expected=size, got=text)
+        raise UsageError("reference", "picks", expected=size, got=text, fix=PICK)
     name = parts[5] if len(parts) == 6 else name
     return Pick(name=name, recording=recording, camera=camera_name, frame=frame, u=u, v=v), camera
 
@@ -191,9 +198,8 @@ def chosen(
     instances = params.instances or tuple(range(1, masks.n_instances + 1))
     unknown = [i for i in instances if not 1 <= i <= masks.n_instances]
     if unknown or not instances:
-        raise UsageError(
-            "reference", "instances", expected=f"objects of {scene}, 1..{masks.n_instances}", got=str(unknown)
-        )
+        expected, fix = f"objects of {scene}, 1..{masks.n_instances}", "`bask-data view` shows their numbers."
+        raise UsageError("reference", "instances", expected=expected, got=str(unknown), fix=fix)
     picks, descriptors = [], []
     for order, instance in enumerate(progress(instances, "choosing keypoints")):
         # The first objects get one more where the number does not divide evenly.
