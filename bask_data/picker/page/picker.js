@@ -469,7 +469,7 @@ function paint(view, table) {
   if (view.found && $("show-heat").checked) context.drawImage(layerOf(view, table), x, y, wide, high);
   paintMatches(context, view);
   paintFound(context, view);
-  for (const mark of state.marks) if (same(frameOf(mark), view.frame)) paintMark(context, view, mark);
+  paintMarks(context, view);
 }
 
 // The picture at the size it is shown in: scaling it well is dear, and it is drawn again with every move of the pointer.
@@ -539,24 +539,36 @@ function cross(context, [x, y], colour, size, isSlanted) {
   }
 }
 
-function paintMark(context, view, mark) {
-  const isDragged = dragged && dragged.name === mark.name && dragged.hasMoved;
-  const [x, y] = isDragged ? view.toCanvas(dragged.u, dragged.v) : view.toCanvas(mark.u, mark.v);
-  const isChosen = mark.name === chosen;
-  context.beginPath();
-  context.arc(x, y, isChosen ? 7 : 5.5, 0, 2 * Math.PI);
-  context.fillStyle = colourOf(mark.name);
-  context.fill();
-  ring(context, [x, y], isChosen ? 8 : 6.5, "#fff", isChosen ? 2.5 : 1.5);
-  if (!isChosen && view !== views[0]) return;
+// The chosen one lies over the others. Of those, a name that would hide another keypoint is left to the list.
+function paintMarks(context, view) {
+  const placed = state.marks.filter((mark) => same(frameOf(mark), view.frame)).map((mark) => {
+    const isDragged = dragged && dragged.name === mark.name && dragged.hasMoved;
+    return { name: mark.name, at: isDragged ? view.toCanvas(dragged.u, dragged.v) : view.toCanvas(mark.u, mark.v) };
+  });
+  placed.sort((a, b) => (a.name === chosen) - (b.name === chosen));
+  for (const { name, at: [x, y] } of placed) {
+    const isChosen = name === chosen;
+    context.beginPath();
+    context.arc(x, y, isChosen ? 7 : 5.5, 0, 2 * Math.PI);
+    context.fillStyle = colourOf(name);
+    context.fill();
+    ring(context, [x, y], isChosen ? 8 : 6.5, "#fff", isChosen ? 2.5 : 1.5);
+    if (isChosen || view === views[0]) paintName(context, view, name, [x, y], placed);
+  }
+}
+
+function paintName(context, view, name, [x, y], placed) {
+  const isChosen = name === chosen;
   context.font = `${isChosen ? 600 : 500} 12px system-ui, sans-serif`;
-  const wide = context.measureText(mark.name).width, left = x + 14 + wide > view.canvas.clientWidth ? x - 18 - wide : x + 12;
+  const wide = context.measureText(name).width, left = x + 14 + wide > view.canvas.clientWidth ? x - 18 - wide : x + 12;
+  const hides = ({ at: [u, v] }) => u > left - 8 && u < left + wide + 18 && Math.abs(v - y) < 18;
+  if (!isChosen && placed.some((one) => one.name !== name && hides(one))) return;
   context.fillStyle = isChosen ? "#0d0f14e6" : "#0d0f1499";
   context.beginPath();
   context.roundRect(left, y - 10, wide + 10, 20, 6);
   context.fill();
   context.fillStyle = "#fff";
-  context.fillText(mark.name, left + 5, y + 4);
+  context.fillText(name, left + 5, y + 4);
 }
 
 // The list -------------------------------------------------------------------------------------------------------------
