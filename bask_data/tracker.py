@@ -252,10 +252,13 @@ class KeypointTracker:
         words = {"n_steps": self.n_steps, "cameras": self.cameras, "rng": self._rng.bit_generator.state}
         part = file.with_name(f"{file.name}.part")
         whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-        save_file(whole, part, {"state": json.dumps(words)})
-        with part.open("rb") as handle:
-            os.fsync(handle.fileno())
-        part.replace(file)
+        try:
+            save_file(whole, part, {"state": json.dumps(words)})
+            with part.open("rb") as handle:
+                os.fsync(handle.fileno())
+            part.replace(file)
+        finally:
+            part.unlink(missing_ok=True)
 
     def load(self, file: Path | str) -> None:
         """Go on from what `save` wrote, with the same network, references, settings and seed.

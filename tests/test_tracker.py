@@ -261,6 +261,13 @@ def test_a_tracker_goes_on_from_its_file(
         same(*both)
 
 
+def test_a_state_that_cannot_be_written_leaves_nothing(tmp_path: Path, reference: ReferenceKeypoints) -> None:
+    (tmp_path / "state").mkdir()
+    with pytest.raises(OSError, match="state"):
+        KeypointTracker(ColourNetwork(), reference).save(tmp_path / "state")
+    assert [one.name for one in tmp_path.iterdir()] == ["state"]
+
+
 @pytest.mark.parametrize("content", [b"", b"12345678 nothing"])
 def test_a_file_that_is_no_state_is_refused(tmp_path: Path, reference: ReferenceKeypoints, content: bytes) -> None:
     (tmp_path / "state").write_bytes(content)
