@@ -31,7 +31,7 @@ from bask_data.nn.network import load
 BUILD = Path(__file__).resolve().parent.parent / "build" / "against_xfeat"
 LEARNED, ASKED = "first", "last"
 SHARE = 0.7
-COARSE_STEPS, FINE_STEPS = 1500, 700
+COARSE_STEPS, FINE_STEPS = 2000, 900
 TRAIN = (
     # Plain walls are told apart by the whole image only; the camera hardly turns or comes nearer.
     *("--crop-share", "1", "--rotation-deg", "15", "--zoom", "0.85,1.2"),

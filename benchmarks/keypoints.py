@@ -34,9 +34,10 @@ def main() -> int:
     asked = ("--objects", "lid,bin,rubbish", "--cameras", "wrist", "--pictures", ROOT / "figures")
     groups = answer("evaluate", "keypoints", ROOT, "--variant", ",".join(VARIANTS), *asked)["groups"]
     for name, group in groups.items():
-        print(f"\n{name + ', mean error in mm':<40}" + "".join(f"{phase:>14}" for phase in PHASES))
+        print(f"\n{name + ', mean error in mm':<40}" + "".join(f"{phase:>14}" for phase in (*PHASES, "mean to mode")))
         for method, found in group["methods"].items():
-            print(f"{method:<40}" + "".join(f"{1000 * found['error'][phase]['mean']:>14.0f}" for phase in PHASES))
+            means = [found["error"][phase]["mean"] for phase in PHASES] + [found["apart"]["all"]["mean"]]
+            print(f"{method:<40}" + "".join(f"{1000 * mean:>14.1f}" for mean in means))
     print(f"\nfigures: {ROOT / 'figures'}")
     return 0
 
