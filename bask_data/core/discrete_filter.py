@@ -71,6 +71,7 @@ class CameraBelief:
 
     Attributes:
         cell: width and height of a cell, pixels of the distance map.
+        world_from_gripper: when that view was taken, if the camera has given no frame since; else None.
     """
 
     inside: Float[ndarray, "k h w"]
@@ -79,6 +80,7 @@ class CameraBelief:
     K: Float[ndarray, "3 3"]
     world_from_camera: Float[ndarray, "4 4"]
     cell: Float[ndarray, "2"] = field(default_factory=lambda: np.ones(2))
+    world_from_gripper: Float[ndarray, "4 4"] | None = None
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,8 @@ def discrete_step(
 
     Cameras are filtered one by one and their estimates fused. A keypoint more likely outside of an image than inside is
     not estimated from that camera; outside of all of them, it keeps its last estimate. A camera without a frame keeps
-    its last view, in which only time passes. `rng` is unused.
+    its last view, in which only time passes: depth there is what was measured, and nothing can be carried over it. The
+    gripper's motion since then counts when the next frame comes. `rng` is unused.
 
     Source: von Hartz et al. 2023, Sec. III-B.
     """
@@ -126,13 +129,35 @@ def _camera_step(
         if before is None:
             return None, None
         still = Observation(before.inside, before.depth, before.K, before.world_from_camera)
-        posterior = predict(before, still, replace(settings, restart=0.0), motion)
+        posterior = replace(
+            predict(before, still, replace(settings, restart=0.0)),
+            world_from_gripper=gripper_then(before.world_from_gripper, motion),
+        )
         return posterior, _lifted(posterior, np.zeros(len(posterior.outside)), before.depth.shape)
     grid, likelihood = _on_grid(seen, settings)
-    prior = _uniform(grid, likelihood.shape) if before is None else predict(before, grid, settings, motion)
+    if before is None:
+        prior = _uniform(grid, likelihood.shape)
+    else:
+        prior = predict(before, grid, settings, motion_since(gripper_then(before.world_from_gripper, motion), motion))
     tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
     posterior, log_evidence = update(prior, likelihood, tau)
     return posterior, _lifted(posterior, log_evidence, seen.depth.shape)
+
+
+def gripper_then(
+    world_from_gripper: Float[ndarray, "4 4"] | None, motion: Motion | None
+) -> Float[ndarray, "4 4"] | None:
+    """World from gripper when a camera's view was taken: as its belief has it, or else as before the last motion."""
+    if world_from_gripper is None and motion is not None:
+        return motion.world_from_gripper_before
+    return world_from_gripper
+
+
+def motion_since(world_from_gripper: Float[ndarray, "4 4"] | None, motion: Motion | None) -> Motion | None:
+    """The gripper's motion from there to where it is now."""
+    if world_from_gripper is None or motion is None:
+        return None
+    return Motion(world_from_gripper, motion.world_from_gripper)
 
 
 def _lifted(belief: CameraBelief, log_evidence: Float[ndarray, "k"], image: tuple[int, ...]) -> Lifted:
@@ -208,6 +233,8 @@ def carry(
     now_from_before = motion.world_from_gripper @ invert_rigid(motion.world_from_gripper_before)
     apart = np.linalg.norm(points_world - motion.world_from_gripper_before[:3, 3], axis=-1)
     held = settings.gripper_probability * (apart < settings.gripper_reach)
+    if not held.any():
+        return _to_cells(points_world, everything, seen, (height, width))
     rests = _to_cells(points_world, everything - held, seen, (height, width))
     return rests + _to_cells(transform(now_from_before, points_world), held, seen, (height, width))
 

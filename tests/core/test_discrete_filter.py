@@ -4,6 +4,7 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -230,23 +231,40 @@ def test_what_the_gripper_holds_stays_where_a_camera_on_it_sees_it() -> None:
         assert np.unravel_index(after.inside[0].argmax(), (20, 30)) == place
 
 
-def test_what_is_carried_past_a_camera_that_stands_still_is_followed() -> None:
-    """A blob in the hand, seven pixels a frame; without the gripper's motion it is not."""
+@pytest.mark.parametrize("every", [1, 3])
+def test_what_is_carried_past_a_camera_that_stands_still_is_followed(every: int) -> None:
+    """A blob in the hand, seven pixels from one frame that is given to the next; without the gripper's motion it is
+    lost."""
     errors = []
     for probability in (DiscreteSettings().gripper_probability, 0.0):
         settings = DiscreteSettings(gripper_probability=probability)
         belief, before = None, None
-        for x in np.linspace(-0.25, 0.25, 8):
+        for i, x in enumerate(np.linspace(-0.25, 0.25, 7 * every + 1)):
             gripper, u = camera_at(x, 0, 1), round(29.5 + 100 * x)
             distance = flat(height=40, width=60)
             distance[0, 17:24, u - 3 : u + 4] = 0.2
             motion = None if before is None else Motion(before, gripper)
-            belief, estimate = discrete_step(belief, [view(distance, np.eye(4))], motion, settings=settings)
+            seen = None if i % every else view(distance, np.eye(4))
+            belief, estimate = discrete_step(belief, [seen], motion, settings=settings)
             before = gripper
         errors.append(np.linalg.norm(estimate.mean[0] - [0.25, 0.005, 1]))
     followed, lost = errors
     assert followed < 0.02
     assert lost > 0.05
+
+
+def test_a_gripper_that_passes_by_unseen_moves_no_estimate() -> None:
+    """What is behind the object is not where the object may be carried to."""
+    distance, depth = flat(), np.full((20, 30), 1.0, np.float32)
+    distance[0, 8:13, 13:18], depth[6:15, 11:20] = 0, 0.6
+    belief = None
+    for _ in range(5):
+        belief, before = discrete_step(belief, [view(distance, np.eye(4), depth)])
+    for i in range(15):
+        motion = Motion(camera_at(0.015 * i, 0, 0.6), camera_at(0.015 * (i + 1), 0, 0.6))
+        belief, estimate = discrete_step(belief, [None], motion)
+    assert np.linalg.norm(estimate.mean - before.mean) < 0.005
+    np.testing.assert_array_equal(belief.cameras[0].world_from_gripper, camera_at(0, 0, 0.6))
 
 
 def pan(turn: float, twin: bool = False) -> Observation:

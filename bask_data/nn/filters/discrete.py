@@ -11,7 +11,15 @@ import torch
 from jaxtyping import Bool, Float64
 from torch import Tensor
 
-from bask_data.core.discrete_filter import FAR, LEAST_EVIDENCE, CameraBelief, DiscreteBelief, DiscreteSettings
+from bask_data.core.discrete_filter import (
+    FAR,
+    LEAST_EVIDENCE,
+    CameraBelief,
+    DiscreteBelief,
+    DiscreteSettings,
+    gripper_then,
+    motion_since,
+)
 from bask_data.core.geometry import invert_rigid
 from bask_data.core.heatmap import Motion, fill_depth
 from bask_data.nn.filters.frames import (
@@ -36,6 +44,7 @@ class TensorCameraBelief:
     outside: Float64[Tensor, "k"]
     view: View
     cell: Float64[Tensor, "2"]
+    world_from_gripper: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -57,7 +66,7 @@ def discrete_belief_on(belief: DiscreteBelief, device: torch.device | str = "cpu
         inside, outside, cell, *seen = (
             torch.as_tensor(value, device=device).double() for value in (one.inside, one.outside, one.cell, *view)
         )
-        cameras.append(TensorCameraBelief(inside, outside, View(*seen), cell))
+        cameras.append(TensorCameraBelief(inside, outside, View(*seen), cell, one.world_from_gripper))
     return TensorDiscreteBelief(tuple(cameras), estimate_on(belief.estimate, device))
 
 
@@ -69,7 +78,8 @@ def discrete_belief_from(belief: TensorDiscreteBelief) -> DiscreteBelief:
             cameras.append(None)
             continue
         values = (one.inside, one.outside, one.view.depth, one.view.K, one.view.world_from_camera, one.cell)
-        cameras.append(CameraBelief(*(value.cpu().numpy() for value in values)))
+        back = CameraBelief(*(value.cpu().numpy() for value in values))
+        cameras.append(replace(back, world_from_gripper=one.world_from_gripper))
     return DiscreteBelief(tuple(cameras), estimate_from(belief.estimate))
 
 
@@ -103,11 +113,19 @@ def _camera_step(
     if seen is None:
         if before is None:
             return None, None
-        posterior = _predicted(before, before.view, motion, replace(settings, restart=0.0))
+        posterior = replace(
+            _predicted(before, before.view, None, replace(settings, restart=0.0)),
+            world_from_gripper=gripper_then(before.world_from_gripper, motion),
+        )
         return posterior, _lifted(posterior, torch.zeros_like(posterior.outside), before.view.depth.shape)
     likelihood = _likelihood(seen, settings)
     view = view_of(seen, (likelihood.shape[1], likelihood.shape[2]))
-    prior = _uniform(likelihood, view, seen) if before is None else _predicted(before, view, motion, settings)
+    if before is None:
+        prior = _uniform(likelihood, view, seen)
+    else:
+        prior = _predicted(
+            before, view, motion_since(gripper_then(before.world_from_gripper, motion), motion), settings
+        )
     tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
     inside, outside = prior.inside * likelihood, prior.outside * tau
     evidence = (inside.sum(dim=(1, 2)) + outside).clamp(min=LEAST_EVIDENCE)
@@ -215,7 +233,9 @@ def _carried(
         return _to_cells(mass, points, now).reshape(inside.shape)
     now_from_before = motion.world_from_gripper @ invert_rigid(motion.world_from_gripper_before)
     apart = (points - points.new_tensor(motion.world_from_gripper_before[:3, 3])).norm(dim=-1)
-    held = settings.gripper_probability * (apart < settings.gripper_reach)
+    held = settings.gripper_probability * (apart < settings.gripper_reach).to(points.dtype)
+    if not held.any():
+        return _to_cells(mass, points, now).reshape(inside.shape)
     moved = transform(points.new_tensor(now_from_before), points)
     return (_to_cells(mass * (1 - held), points, now) + _to_cells(mass * held, moved, now)).reshape(inside.shape)
 
