@@ -290,20 +290,26 @@ function suggested(main, turn) {
   const rotate = (list) => list.map((_, i) => list[(i + 2 * turn) % list.length]);
   const scans = rotate(others.filter((one) => one.scope === "scene"));
   const demonstrations = rotate(others.filter((one) => one.scope === "demonstration"));
-  const camera = cameraOf(main), frames = [];
+  const cameras = recordingOf(main).cameras, first = cameras.indexOf(cameraOf(main)), shown = new Set([key(main)]);
   const shares = [0.37, 0.71, 0.18, 0.55, 0.9, 0.27].map((share) => (share + 0.13 * turn) % 1);
-  const own = (share) => [main[0], main[1], (main[2] + Math.round(share * camera.n_frames)) % camera.n_frames];
+  // All cameras in turn; another frame than those already there, as long as there is one.
+  const own = (i) => {
+    const { name, n_frames } = cameras[(first + i + 1) % cameras.length], start = main[2] + 1 + Math.floor(shares[i] * (n_frames - 1));
+    const tried = Array.from({ length: n_frames }, (_, more) => [main[0], name, (start + more) % n_frames]);
+    const frame = tried.find((one) => !shown.has(key(one))) || tried[0];
+    shown.add(key(frame));
+    return frame;
+  };
   const at = (one, i) => {
     const seen = one.cameras[i % one.cameras.length];
     return [one.name, seen.name, Math.round(shares[i % shares.length] * (seen.n_frames - 1))];
   };
-  frames.push(own(shares[0]), own(shares[1]));
-  const rest = [];
+  const frames = [own(0), own(1)], rest = [];
   for (let i = 0; i < Math.max(scans.length, demonstrations.length, 1); i++) {
     if (demonstrations[i]) rest.push(at(demonstrations[i], i));
     if (scans[i]) rest.push(at(scans[i], i));
   }
-  for (let i = 2; rest.length < N_OTHERS - 2 && i < shares.length; i++) rest.push(own(shares[i]));
+  for (let i = 2; rest.length < N_OTHERS - 2 && i < shares.length; i++) rest.push(own(i));
   return [...frames, ...rest].slice(0, N_OTHERS);
 }
 
