@@ -54,11 +54,14 @@ def finished(root: Path) -> dict[str, tuple[int, int, str]]:
     return found
 
 
-def killed_and_finished(ingested: Path, root: Path, seconds: float) -> tuple[int, dict[str, str]]:
-    """Kill a run after so long, run again, and hold what must hold. Gives how many artifacts the kill left finished."""
+def killed_and_finished(ingested: Path, root: Path, n_made: int, seconds: float) -> tuple[int, dict[str, str]]:
+    """Kill a run so long after it has this many artifacts, run again, and hold what must hold. Gives how many artifacts
+    the kill left finished."""
     shutil.copytree(ingested / "d", root)
     arguments = ["run", str(root), "--config", str(ingested / "params.yaml")]
     process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.DEVNULL, start_new_session=True)
+    while len(artifacts_on_disk(Dataset(root))) < n_made and process.poll() is None:
+        time.sleep(0.01)
     time.sleep(seconds)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -84,11 +87,13 @@ def run_uninterrupted(ingested: Path, root: Path) -> tuple[float, dict[str, str]
 def hold(ingested: Path, tmp_path: Path, n_kills: int) -> None:
     seconds, digests = run_uninterrupted(ingested, tmp_path / "whole")
     chance = random.Random(0)
-    left = set()
+    n_ingested, left = len(finished(ingested / "d")), set()
     for i_kill in range(n_kills):
-        moment = chance.uniform(0.2, seconds)
-        n_left, again = killed_and_finished(ingested, tmp_path / "killed", moment)
-        assert again == digests, f"kill {i_kill} after {moment:.2f} s"
+        # Evenly over the artifacts, however fast the machine is just now; anywhere in the making of the next.
+        n_made = n_ingested + i_kill * (len(digests) - n_ingested) // n_kills
+        moment = chance.uniform(0.0, seconds / (len(digests) - n_ingested))
+        n_left, again = killed_and_finished(ingested, tmp_path / "killed", n_made, moment)
+        assert again == digests, f"kill {i_kill}, {moment:.2f} s after artifact {n_made}"
         left.add(n_left)
         shutil.rmtree(tmp_path / "killed")
     # Kills that all fall before the first artifact or after the last would prove nothing.
