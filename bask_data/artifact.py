@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 MANIFEST = "artifact.json"
 SCRATCH = ".scratch"
-LOOK = "run `bask-data validate`; what is broken, its stage makes again with --force."
+LOOK = "make it again with --force, a recording with `bask-data ingest`."
 """How an artifact that does not hold what it should is mended."""
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 

@@ -95,12 +95,12 @@ class EncodeParams(Params):
         None,
         ge=0,
         le=1,
-        description="Particle, discrete: probability that what is near the gripper moves with it. Default: 0.2, 0.35.",
+        description="Probability that what is near the gripper moves with it. Default: 0.2; discrete: 0.35.",
     )
     gripper_reach: float | None = Field(
         None,
         ge=0,
-        description="Particle, discrete: metres around the gripper within which it may. Default: 0.15.",
+        description="Particle, discrete: metres around the gripper that count as near it. Default: 0.15.",
     )
     dropout: float = Field(
         0.0,

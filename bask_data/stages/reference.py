@@ -38,8 +38,8 @@ N_CANDIDATES = 120
 BORDERS = (0.02, 0.01, 0.0)
 """Distances from a mask's edge, as shares of the image's height; the next is tried where an object is too slim."""
 
-PICK = "`bask-data reference --pick` opens a page to choose them on."
-"""What spares writing picks by hand."""
+PICK = "correct it, or take it away: without any, `bask-data reference --pick` opens a page to choose them on."
+"""How a pick that does not fit is mended."""
 
 
 class ReferenceParams(Params):
@@ -169,7 +169,7 @@ def parsed(text: str, name: str, recordings: Mapping[str, Recording]) -> tuple[P
     if not inside:
         size = f"frame 0..{camera.n_frames - 1}, u 0..{camera.width - 1}, v 0..{camera.height - 1}"
         raise UsageError("reference", "picks", expected=size, got=text, fix=PICK)
-    name = parts[5] if len(parts) == 6 else name
+    name = parts[5] if len(parts) == 6 and parts[5] else name
     return Pick(name=name, recording=recording, camera=camera_name, frame=frame, u=u, v=v), camera
 
 
@@ -198,6 +198,9 @@ def chosen(
     instances = params.instances or tuple(range(1, masks.n_instances + 1))
     unknown = [i for i in instances if not 1 <= i <= masks.n_instances]
     if unknown or not instances:
+        if not masks.n_instances:
+            fix = "leave --scene out to take the first that has objects."
+            raise UsageError("reference", "scene", expected="one with objects", got=f"{scene}, without any", fix=fix)
         expected, fix = f"objects of {scene}, 1..{masks.n_instances}", "`bask-data view` shows their numbers."
         raise UsageError("reference", "instances", expected=expected, got=str(unknown), fix=fix)
     picks, descriptors = [], []
