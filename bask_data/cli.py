@@ -31,7 +31,7 @@ from bask_data.params import Params, first_fault
 from bask_data.pipeline import STAGES
 from bask_data.presets import PRESETS, PresetName
 from bask_data.sim.options import SimOptions, TaskName
-from bask_data.stage import Config, Outcome, Stage, State, follow, is_follower, plan, processes, run, state_of
+from bask_data.stage import Config, Outcome, Stage, State, follow, is_follower, plan, processes, run, state_told
 
 Root = Annotated[Path, typer.Argument(help="The dataset's directory.", metavar="ROOT")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
@@ -633,7 +633,7 @@ def status(
     for stage in STAGES:
         for variant in dataset.variants(stage.makes):
             for task in plan(dataset, stage, config=parameters, variant=variant):
-                rows.append((stage.name, task.label, state_of(task)))
+                rows.append((stage.name, task.label, state_told(task)))
     for _, label, state in rows:
         say(f"  {state.status:<10}  {label}{f'  ({state.why})' if state.why else ''}")
     n_todo = sum(state.status != "up to date" for _, _, state in rows)

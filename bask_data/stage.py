@@ -433,6 +433,17 @@ def _difference(manifest: Manifest, parts: dict[str, Any]) -> str:
     return "changed: " + " or ".join(name for name in ("splits", "files") if name in parts)
 
 
+def state_told(task: Task) -> State:
+    """`state_of` for a list that a broken input should not end: what is made from it is blocked."""
+    try:
+        state = state_of(task)
+        if state.status == "missing":
+            key_parts(task)  # Reads what it would be made of.
+        return state
+    except BadData as error:
+        return State("blocked", str(error))
+
+
 def make(task: Task, force: bool = False) -> Outcome:
     """Make one artifact unless it is up to date. Errors come back in the outcome, so that other items go on."""
     begun = time.perf_counter()
@@ -616,7 +627,7 @@ def run(
     """Make what is not up to date, here or on any executor, and yield outcomes as they come."""
     if dry_run:
         for task in tasks:
-            state = state_of(task)
+            state = state_told(task)
             status: Any = "would make" if state.status in ("missing", "stale") or force else state.status
             yield Outcome(
                 task.label, task.stage.makes.kind, task.item, task.variant, str(task.target), status, state.why

@@ -139,6 +139,17 @@ def test_status_says_what_is_missing(dataset: Dataset) -> None:
     assert {"stage": "objects", "label": "objects a", "status": "blocked", "why": "reconstruction/a is missing"} in rows
 
 
+def test_a_broken_input_is_told_of_what_is_made_of_it_and_ends_no_list(dataset: Dataset) -> None:
+    (dataset.path(Scan, "a") / "artifact.json").write_text("{}")
+    rows = json.loads(cli("status", dataset.root, "--json").stdout)["artifacts"]
+    assert (rows[0]["label"], rows[0]["status"]) == ("reconstruct a", "blocked")
+    assert "scan/a/artifact.json" in rows[0]["why"] and "bask-data ingest" in rows[0]["why"]
+    assert len(rows) > 1
+    outcomes = json.loads(cli("run", dataset.root, "--dry-run", "--json").stdout)["outcomes"]
+    assert outcomes[0]["status"] == "blocked"
+    assert cli("reconstruct", dataset.root).exit_code == 4
+
+
 def test_info_and_validate_of_a_recording(dataset: Dataset) -> None:
     found = json.loads(cli("info", dataset.root, "--json").stdout)
     assert found["artifacts"][0]["cameras"] == {"wrist": "2 x 6x4"}
