@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 MANIFEST = "artifact.json"
 SCRATCH = ".scratch"
-LOOK = "make it again with --force, a recording with `bask-data ingest`."
+REMAKE = "make it again with --force, a recording with `bask-data ingest`."
 """How an artifact that does not hold what it should is mended."""
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
@@ -128,7 +128,7 @@ class Artifact:
         try:
             return zarr.open_group(str(self.path), mode="r", zarr_format=3)
         except Exception as error:
-            raise BadData(self.path, "zarr.json", expected="a Zarr v3 group", got=str(error), fix=LOOK) from error
+            raise BadData(self.path, "zarr.json", expected="a Zarr v3 group", got=str(error), fix=REMAKE) from error
 
     @cached_property
     def attributes(self) -> dict[str, Any]:
@@ -143,7 +143,7 @@ class Artifact:
             return self.metadata_model.model_validate(fields)
         except ValidationError as error:
             field, expected, came = first_fault(error)
-            raise BadData(self.path / "zarr.json", f"bask.{field}", expected=expected, got=came, fix=LOOK) from error
+            raise BadData(self.path / "zarr.json", f"bask.{field}", expected=expected, got=came, fix=REMAKE) from error
 
     def summary(self) -> list[str]:
         """Lines that a person reads when the artifact was made; most kinds have none."""
@@ -198,7 +198,7 @@ def read_attributes(group: Path) -> dict[str, Any]:
     file = group / "zarr.json"
     document = read_json(file)
     if not isinstance(document, dict) or document.get("node_type") != "group" or document.get("zarr_format") != 3:
-        raise BadData(file, "node_type", expected="a Zarr v3 group", got=str(document)[:60], fix=LOOK)
+        raise BadData(file, "node_type", expected="a Zarr v3 group", got=str(document)[:60], fix=REMAKE)
     attributes = document.get("attributes", {})
     return attributes if isinstance(attributes, dict) else {}
 
@@ -247,7 +247,7 @@ def read_manifest(path: Path) -> Manifest:
         return Manifest.model_validate(read_json(file))
     except ValidationError as error:
         field, expected, came = first_fault(error)
-        raise BadData(file, field, expected=expected, got=came, fix=LOOK) from error
+        raise BadData(file, field, expected=expected, got=came, fix=REMAKE) from error
 
 
 def list_files(path: Path) -> Iterator[tuple[str, Path]]:

@@ -346,23 +346,24 @@ def _items_of(dataset: Dataset, given: Input, item: str, params: Params) -> list
 
 def key_parts(task: Task) -> dict[str, Any]:
     """Everything the result depends on; its digest is the skip key. `BadData` when an input has no manifest."""
-    inputs = {}
-    for bindings in task.inputs.values():
-        for binding in bindings:
-            path = task.input_path(binding)
-            inputs[path.relative_to(task.root).as_posix()] = read_manifest(path).digest
     parts = {
         "kind": task.stage.makes.kind,
         "schema": task.stage.makes.schema_version,
         "stage": task.stage.name,
         "version": task.stage.version,
         "params": task.params.model_dump(mode="json"),
-        "inputs": inputs,
+        "inputs": input_digests(task),
     }
     if task.stage.wants_splits:
         parts["splits"] = task.splits.model_dump(mode="json")
     files = {name: file_digest(path) for name, path in parameter_files(task).items()}
     return {**parts, "files": files} if files else parts
+
+
+def input_digests(task: Task) -> dict[str, str]:
+    """The digest of each input, by its path in the dataset. `BadData` when one has no manifest."""
+    paths = [task.input_path(binding) for bindings in task.inputs.values() for binding in bindings]
+    return {path.relative_to(task.root).as_posix(): read_manifest(path).digest for path in paths}
 
 
 def parameter_files(task: Task) -> dict[str, Path]:
@@ -438,7 +439,7 @@ def state_told(task: Task) -> State:
     try:
         state = state_of(task)
         if state.status == "missing":
-            key_parts(task)  # Reads what it would be made of.
+            input_digests(task)  # Reads what it would be made of.
         return state
     except BadData as error:
         return State("blocked", str(error))

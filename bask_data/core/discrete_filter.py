@@ -125,39 +125,31 @@ def _camera_step(
     before: CameraBelief | None, seen: Observation | None, motion: Motion | None, settings: DiscreteSettings
 ) -> tuple[CameraBelief | None, Lifted | None]:
     """One camera's belief, and what it says of the keypoints in 3D."""
+    since = motion_since(before.world_from_gripper if before else None, motion)
     if seen is None:
         if before is None:
             return None, None
         still = Observation(before.inside, before.depth, before.K, before.world_from_camera)
         posterior = replace(
             predict(before, still, replace(settings, restart=0.0)),
-            world_from_gripper=gripper_then(before.world_from_gripper, motion),
+            world_from_gripper=before.world_from_gripper if since is None else since.world_from_gripper_before,
         )
         return posterior, _lifted(posterior, np.zeros(len(posterior.outside)), before.depth.shape)
     grid, likelihood = _on_grid(seen, settings)
     if before is None:
         prior = _uniform(grid, likelihood.shape)
     else:
-        prior = predict(before, grid, settings, motion_since(gripper_then(before.world_from_gripper, motion), motion))
+        prior = predict(before, grid, settings, since)
     tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
     posterior, log_evidence = update(prior, likelihood, tau)
     return posterior, _lifted(posterior, log_evidence, seen.depth.shape)
 
 
-def gripper_then(
-    world_from_gripper: Float[ndarray, "4 4"] | None, motion: Motion | None
-) -> Float[ndarray, "4 4"] | None:
-    """World from gripper when a camera's view was taken: as its belief has it, or else as before the last motion."""
-    if world_from_gripper is None and motion is not None:
-        return motion.world_from_gripper_before
-    return world_from_gripper
-
-
 def motion_since(world_from_gripper: Float[ndarray, "4 4"] | None, motion: Motion | None) -> Motion | None:
-    """The gripper's motion from there to where it is now."""
-    if world_from_gripper is None or motion is None:
-        return None
-    return Motion(world_from_gripper, motion.world_from_gripper)
+    """The gripper's motion since a camera's view was taken: from where its belief has it, or else the last one."""
+    if motion is None or world_from_gripper is None:
+        return motion
+    return replace(motion, world_from_gripper_before=world_from_gripper)
 
 
 def _lifted(belief: CameraBelief, log_evidence: Float[ndarray, "k"], image: tuple[int, ...]) -> Lifted:
@@ -227,16 +219,15 @@ def carry(
     depth = np.nan_to_num(fill_depth(belief.depth), nan=FAR).astype(np.float64)
     points_camera = unproject(pixel_grid(height, width), depth, belief.K).reshape(-1, 3)
     points_world = transform(belief.world_from_camera, points_camera)
-    everything = np.ones(len(points_world))
-    if motion is None or settings.gripper_probability == 0:
-        return _to_cells(points_world, everything, seen, (height, width))
-    now_from_before = motion.world_from_gripper @ invert_rigid(motion.world_from_gripper_before)
-    apart = np.linalg.norm(points_world - motion.world_from_gripper_before[:3, 3], axis=-1)
-    held = settings.gripper_probability * (apart < settings.gripper_reach)
-    if not held.any():
-        return _to_cells(points_world, everything, seen, (height, width))
-    rests = _to_cells(points_world, everything - held, seen, (height, width))
-    return rests + _to_cells(transform(now_from_before, points_world), held, seen, (height, width))
+    held = np.zeros(len(points_world))
+    if motion is not None:
+        apart = np.linalg.norm(points_world - motion.world_from_gripper_before[:3, 3], axis=-1)
+        held = settings.gripper_probability * (apart < settings.gripper_reach)
+    carried = _to_cells(points_world, 1 - held, seen, (height, width))
+    if motion is not None and held.any():
+        now_from_before = motion.world_from_gripper @ invert_rigid(motion.world_from_gripper_before)
+        carried += _to_cells(transform(now_from_before, points_world), held, seen, (height, width))
+    return carried
 
 
 def _to_cells(

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bask_data.artifact import LOOK, ArraySpec, Artifact, write_group
+from bask_data.artifact import REMAKE, ArraySpec, Artifact, write_group
 from bask_data.errors import BadData
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def read_frame(array: zarr.Array, i_frame: int, where: Path) -> np.ndarray:
     try:
         return array[i_frame]  # type: ignore[return-value]
     except Exception as error:
-        raise BadData(where, f"frame {i_frame}", expected="a readable chunk", got=str(error), fix=LOOK) from error
+        raise BadData(where, f"frame {i_frame}", expected="a readable chunk", got=str(error), fix=REMAKE) from error
 
 
 def read_all(group: zarr.Group, name: str, where: Path) -> np.ndarray:
@@ -200,9 +200,9 @@ def read_all(group: zarr.Group, name: str, where: Path) -> np.ndarray:
     try:
         array = group[name][...]  # type: ignore[index]
     except KeyError:
-        raise BadData(where, name, expected="an array", got="nothing", fix=LOOK) from None
+        raise BadData(where, name, expected="an array", got="nothing", fix=REMAKE) from None
     except Exception as error:
-        raise BadData(where, name, expected="readable chunks", got=str(error), fix=LOOK) from error
+        raise BadData(where, name, expected="readable chunks", got=str(error), fix=REMAKE) from error
     return array.astype(array.dtype.newbyteorder("="))  # type: ignore[union-attr,return-value]
 
 

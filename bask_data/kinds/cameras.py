@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bask_data.artifact import LOOK, ArraySpec, Artifact, Metadata, write_group
+from bask_data.artifact import REMAKE, ArraySpec, Artifact, Metadata, write_group
 from bask_data.errors import BadData
 from bask_data.kinds.arrays import FrameWriter, read_all, read_frame, start, write_array
 
@@ -70,7 +70,7 @@ class Camera:
 
         K = read_all(self._group, "intrinsics", self.path)
         if K.shape != (3, 3) or not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
-            raise BadData(self.path, "intrinsics", expected="a pinhole matrix", got=str(K.tolist()), fix=LOOK)
+            raise BadData(self.path, "intrinsics", expected="a pinhole matrix", got=str(K.tolist()), fix=REMAKE)
         return K
 
     @cached_property
@@ -82,7 +82,7 @@ class Camera:
         for i_frame, transform in enumerate(transforms):
             if fault := rigid_fault(transform):
                 field = f"world_from_camera {i_frame}"
-                raise BadData(self.path, field, expected="a rigid transform", got=fault, fix=LOOK)
+                raise BadData(self.path, field, expected="a rigid transform", got=fault, fix=REMAKE)
         return transforms
 
     @cached_property

@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from bask_data.artifact import LOOK, ArraySpec, Artifact, Metadata, TableSpec
+from bask_data.artifact import REMAKE, ArraySpec, Artifact, Metadata, TableSpec
 from bask_data.errors import BadData
 from bask_data.kinds.arrays import read_all, start, write_array
 from bask_data.kinds.tables import read_table, write_table
@@ -150,7 +150,7 @@ class Reconstruction(Artifact):
         n_vertices = len(self.vertices)
         if triangles.size and (triangles.min() < 0 or triangles.max() >= n_vertices):
             expected, got = f"indices below {n_vertices}", str(triangles.max())
-            raise BadData(self.path, "triangles", expected=expected, got=got, fix=LOOK)
+            raise BadData(self.path, "triangles", expected=expected, got=got, fix=REMAKE)
         return triangles
 
     @cached_property

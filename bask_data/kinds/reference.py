@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bask_data.artifact import LOOK, ArraySpec, Artifact, Metadata
+from bask_data.artifact import REMAKE, ArraySpec, Artifact, Metadata
 from bask_data.errors import BadData
 from bask_data.kinds.arrays import read_all, start, write_array
 
@@ -56,7 +56,7 @@ class ReferenceKeypoints(Artifact):
 
         descriptors = read_all(self.group, "descriptors", self.path)
         if not np.isfinite(descriptors).all():
-            raise BadData(self.path, "descriptors", expected="finite numbers", got="NaN or infinity", fix=LOOK)
+            raise BadData(self.path, "descriptors", expected="finite numbers", got="NaN or infinity", fix=REMAKE)
         return descriptors
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from bask_data.artifact import LOOK, Artifact, TableSpec
+from bask_data.artifact import REMAKE, Artifact, TableSpec
 from bask_data.errors import BadData
 
 if TYPE_CHECKING:
@@ -32,10 +32,10 @@ def read_table(artifact: Artifact, name: str, filters: Any = None) -> pa.Table:
     try:
         table = pq.read_table(file, filters=filters, page_checksum_verification=True)
     except (OSError, pa.ArrowException) as error:
-        raise BadData(file, "", expected="a Parquet table", got=str(error), fix=LOOK) from error
+        raise BadData(file, "", expected="a Parquet table", got=str(error), fix=REMAKE) from error
     expected = arrow_schema(artifact.tables[name])
     if not table.schema.equals(expected):
-        raise BadData(file, "columns", expected=str(expected.names), got=str(table.schema.names), fix=LOOK)
+        raise BadData(file, "columns", expected=str(expected.names), got=str(table.schema.names), fix=REMAKE)
     return table
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from bask_data.artifact import LOOK, Artifact
+from bask_data.artifact import REMAKE, Artifact
 from bask_data.errors import BadData, BaskError
 from bask_data.kinds.truth import ROBOT
 from bask_data.report.pictures import Colour, instance_colour
@@ -109,7 +109,7 @@ def reading(artifact: Artifact) -> Iterator[None]:
             "",
             expected="arrays and names that belong together",
             got=f"{type(error).__name__}: {str(error)[:200]}",
-            fix=LOOK,
+            fix=REMAKE,
         ) from error
 
 

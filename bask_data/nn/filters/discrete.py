@@ -17,7 +17,6 @@ from bask_data.core.discrete_filter import (
     CameraBelief,
     DiscreteBelief,
     DiscreteSettings,
-    gripper_then,
     motion_since,
 )
 from bask_data.core.geometry import invert_rigid
@@ -110,12 +109,13 @@ def _camera_step(
     settings: DiscreteSettings,
 ) -> tuple[TensorCameraBelief | None, TensorLifted | None]:
     """One camera's belief, and what it says of the keypoints in 3D."""
+    since = motion_since(before.world_from_gripper if before else None, motion)
     if seen is None:
         if before is None:
             return None, None
         posterior = replace(
             _predicted(before, before.view, None, replace(settings, restart=0.0)),
-            world_from_gripper=gripper_then(before.world_from_gripper, motion),
+            world_from_gripper=before.world_from_gripper if since is None else since.world_from_gripper_before,
         )
         return posterior, _lifted(posterior, torch.zeros_like(posterior.outside), before.view.depth.shape)
     likelihood = _likelihood(seen, settings)
@@ -123,9 +123,7 @@ def _camera_step(
     if before is None:
         prior = _uniform(likelihood, view, seen)
     else:
-        prior = _predicted(
-            before, view, motion_since(gripper_then(before.world_from_gripper, motion), motion), settings
-        )
+        prior = _predicted(before, view, since, settings)
     tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
     inside, outside = prior.inside * likelihood, prior.outside * tau
     evidence = (inside.sum(dim=(1, 2)) + outside).clamp(min=LEAST_EVIDENCE)
@@ -229,15 +227,15 @@ def _carried(
 ) -> Float64[Tensor, "k h w"]:
     """Mass moved with the camera, a part of that near the gripper with the gripper."""
     points, mass = _points(before), inside.flatten(1)
-    if motion is None or settings.gripper_probability == 0:
-        return _to_cells(mass, points, now).reshape(inside.shape)
-    now_from_before = motion.world_from_gripper @ invert_rigid(motion.world_from_gripper_before)
-    apart = (points - points.new_tensor(motion.world_from_gripper_before[:3, 3])).norm(dim=-1)
-    held = settings.gripper_probability * (apart < settings.gripper_reach).to(points.dtype)
-    if not held.any():
-        return _to_cells(mass, points, now).reshape(inside.shape)
-    moved = transform(points.new_tensor(now_from_before), points)
-    return (_to_cells(mass * (1 - held), points, now) + _to_cells(mass * held, moved, now)).reshape(inside.shape)
+    held = torch.zeros_like(points[:, 0])
+    if motion is not None:
+        apart = (points - points.new_tensor(motion.world_from_gripper_before[:3, 3])).norm(dim=-1)
+        held = settings.gripper_probability * (apart < settings.gripper_reach).to(points.dtype)
+    carried = _to_cells(mass * (1 - held), points, now)
+    if motion is not None and held.any():
+        now_from_before = motion.world_from_gripper @ invert_rigid(motion.world_from_gripper_before)
+        carried = carried + _to_cells(mass * held, transform(points.new_tensor(now_from_before), points), now)
+    return carried.reshape(inside.shape)
 
 
 def _to_cells(mass: Float64[Tensor, "k n"], points_world: Float64[Tensor, "n 3"], view: View) -> Float64[Tensor, "k n"]:
