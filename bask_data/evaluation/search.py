@@ -67,13 +67,11 @@ def looked_for(
     import numpy as np
 
     from bask_data.core.descriptor_scores import map_scores
-    from bask_data.nn.network import distance_maps
-    from bask_data.nn.resnet import upsampled
+    from bask_data.nn.network import maps_of_cells
 
-    pixels = upsampled(image.cells[None], network.input_size(image.size))[0]
     away = (queries - descriptors_at(network, image, uv)).square().sum(dim=1).sqrt() / queries.shape[1] ** 0.5
     return map_scores(
-        distance_maps(pixels, queries).cpu().numpy(),
+        maps_of_cells(image.cells[None], queries)[0].cpu().numpy(),
         away.cpu().numpy().astype(np.float64),
         uv,
         image.size,

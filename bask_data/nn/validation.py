@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray
 
-from bask_data.nn.network import DescriptorNetwork, best_matches, distance_maps
+from bask_data.nn.network import DescriptorNetwork, best_matches, maps_of_cells
 from bask_data.nn.sampling import PairSource
 
 
@@ -27,7 +27,7 @@ def pixel_errors(
         pair = source.pair(i_pair)
         chosen = np.unique(np.linspace(0, len(pair.instance) - 1, n_matches).round().astype(int))
         queries = network.descriptors_at(pair.rgb_a, pair.uv_a[chosen])
-        distances = distance_maps(network.describe(pair.rgb_b), queries)
+        distances = maps_of_cells(network.cells(pair.rgb_b)[None], queries)[0]
         size = (pair.rgb_b.shape[0], pair.rgb_b.shape[1])
         error = np.linalg.norm(best_matches(distances, size) - pair.uv_b[chosen], axis=1)
         pixels.append(error)
