@@ -9,6 +9,7 @@ from typing import Any
 
 from bask_data.artifact import (
     MANIFEST,
+    REMAKE,
     Artifact,
     FileEntry,
     content_digest,
@@ -55,7 +56,7 @@ def validate(dataset: Dataset) -> list[Problem]:
             problems += _files(artifact, dataset.root)
             problems += _schema(artifact, dataset.root)
         except BaskError as error:
-            problems.append(Problem(_relative(artifact.path, dataset.root), error.fault, _remake(artifact)))
+            problems.append(Problem(_relative(artifact.path, dataset.root), error.fault, error.fix or REMAKE))
     problems += _unlisted(dataset)
     return problems
 
@@ -72,29 +73,31 @@ def _missing_recordings(dataset: Dataset) -> Iterator[Problem]:
 def _files(artifact: Artifact, root: Path) -> Iterator[Problem]:
     """Files missing, changed, or unknown to the manifest."""
     manifest = read_manifest(artifact.path)
-    where, fix = _relative(artifact.path, root), _remake(artifact)
+    where = _relative(artifact.path, root)
     present = dict(list_files(artifact.path))
     for name in sorted(manifest.files.keys() - present.keys()):
-        yield Problem(f"{where}/{name}", "missing.", fix)
+        yield Problem(f"{where}/{name}", "missing.", REMAKE)
     for name in sorted(present.keys() - manifest.files.keys()):
         yield Problem(f"{where}/{name}", "not part of the artifact.", "move it elsewhere.")
     for name in sorted(present.keys() & manifest.files.keys()):
         digest = file_digest(present[name])
         if digest != manifest.files[name].sha256:
             yield Problem(
-                f"{where}/{name}", f"expected SHA-256 {manifest.files[name].sha256[:12]}..., got {digest[:12]}....", fix
+                f"{where}/{name}",
+                f"expected SHA-256 {manifest.files[name].sha256[:12]}..., got {digest[:12]}....",
+                REMAKE,
             )
     if content_digest(manifest.files) != manifest.digest:
-        yield Problem(f"{where}/{MANIFEST}", "digest: does not follow from the list of files.", fix)
+        yield Problem(f"{where}/{MANIFEST}", "digest: does not follow from the list of files.", REMAKE)
     if manifest.kind != artifact.kind or manifest.schema_version != artifact.schema_version:
         got = f"{manifest.kind} v{manifest.schema_version}"
         expected = f"{artifact.kind} v{artifact.schema_version}"
-        yield Problem(f"{where}/{MANIFEST}", f"kind: expected {expected}, got {got}.", fix)
+        yield Problem(f"{where}/{MANIFEST}", f"kind: expected {expected}, got {got}.", REMAKE)
 
 
 def _schema(artifact: Artifact, root: Path) -> Iterator[Problem]:
     """Arrays and tables that are not as the kind's schema says."""
-    where, fix = _relative(artifact.path, root), _remake(artifact)
+    where = _relative(artifact.path, root)
     artifact.metadata  # noqa: B018  # Reading it checks it.
     sizes: dict[tuple[str, str], tuple[int, str]] = {}
     seen = set()
@@ -102,14 +105,14 @@ def _schema(artifact: Artifact, root: Path) -> Iterator[Problem]:
         try:
             spec = spec_of(type(artifact), name)
         except KeyError:
-            yield Problem(f"{where}/{name}", "an array that the schema does not know.", fix)
+            yield Problem(f"{where}/{name}", "an array that the schema does not know.", REMAKE)
             continue
         seen.add(name)
         shape, dtype = document.get("shape", []), document.get("data_type")
         if dtype != spec.dtype:
-            yield Problem(f"{where}/{name}", f"data_type: expected {spec.dtype}, got {dtype}.", fix)
+            yield Problem(f"{where}/{name}", f"data_type: expected {spec.dtype}, got {dtype}.", REMAKE)
         if len(shape) != len(spec.dims):
-            yield Problem(f"{where}/{name}", f"shape: expected ({', '.join(spec.dims)}), got {shape}.", fix)
+            yield Problem(f"{where}/{name}", f"shape: expected ({', '.join(spec.dims)}), got {shape}.", REMAKE)
             continue
         camera = name.split("/")[0] if "{camera}/" + name.split("/", 1)[-1] in artifact.arrays else ""
         for dim, length in zip(spec.dims, shape, strict=True):
@@ -119,10 +122,10 @@ def _schema(artifact: Artifact, root: Path) -> Iterator[Problem]:
                 expected, like = sizes.setdefault((camera if dim in "thw" else "", dim), (length, name))
                 reason = f"{dim} = {expected} as {like}"
             if length != expected:
-                yield Problem(f"{where}/{name}", f"shape: expected {reason or expected}, got {length}.", fix)
+                yield Problem(f"{where}/{name}", f"shape: expected {reason or expected}, got {length}.", REMAKE)
         missing = [key for key in spec.attributes if key not in document.get("attributes", {})]
         if missing:
-            yield Problem(f"{where}/{name}", f"attributes: expected {', '.join(missing)}.", fix)
+            yield Problem(f"{where}/{name}", f"attributes: expected {', '.join(missing)}.", REMAKE)
     for pattern, spec in artifact.arrays.items():
         if "{camera}" not in pattern:
             names = [pattern]
@@ -130,15 +133,15 @@ def _schema(artifact: Artifact, root: Path) -> Iterator[Problem]:
             names = [pattern.replace("{camera}", camera) for camera in artifact.camera_names]
         for name in names:
             if name not in seen and not spec.optional:
-                yield Problem(f"{where}/{name}", "missing: the schema asks for it.", fix)
+                yield Problem(f"{where}/{name}", "missing: the schema asks for it.", REMAKE)
     for name in artifact.tables:
-        yield from _table(artifact, name, where, fix)
+        yield from _table(artifact, name, where)
     for name in artifact.files:
         if not (artifact.path / name).exists():
-            yield Problem(f"{where}/{name}", "missing: the schema asks for it.", fix)
+            yield Problem(f"{where}/{name}", "missing: the schema asks for it.", REMAKE)
 
 
-def _table(artifact: Artifact, name: str, where: str, fix: str) -> Iterator[Problem]:
+def _table(artifact: Artifact, name: str, where: str) -> Iterator[Problem]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -147,11 +150,11 @@ def _table(artifact: Artifact, name: str, where: str, fix: str) -> Iterator[Prob
     try:
         schema = pq.read_schema(artifact.path / name)
     except (OSError, pa.ArrowException) as error:
-        yield Problem(f"{where}/{name}", f"expected a Parquet table, got {error}.", fix)
+        yield Problem(f"{where}/{name}", f"expected a Parquet table, got {error}.", REMAKE)
         return
     expected = arrow_schema(artifact.tables[name])
     if not schema.equals(expected):
-        yield Problem(f"{where}/{name}", f"columns: expected {expected.names}, got {schema.names}.", fix)
+        yield Problem(f"{where}/{name}", f"columns: expected {expected.names}, got {schema.names}.", REMAKE)
 
 
 def _array_documents(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -184,12 +187,6 @@ def _unlisted(dataset: Dataset) -> Iterator[Problem]:
 
 def _relative(path: Path, root: Path) -> str:
     return path.relative_to(root).as_posix()
-
-
-def _remake(artifact: Artifact) -> str:
-    if artifact.kind in ("scan", "demonstration", "truth"):
-        return "ingest the recording again with --force."
-    return "make it again with --force."
 
 
 def total_bytes(files: dict[str, FileEntry]) -> int:

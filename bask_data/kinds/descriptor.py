@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bask_data.artifact import Artifact, Metadata, TableSpec, read_json
+from bask_data.artifact import REMAKE, Artifact, Metadata, TableSpec, read_json
 from bask_data.errors import BadData
 from bask_data.kinds.arrays import start
 from bask_data.kinds.tables import read_table, write_table
@@ -73,8 +73,8 @@ class DescriptorNet(Artifact):
         try:
             return load(self.path)
         except Exception as error:  # torch and safetensors raise their own kinds for broken files.
-            fix = "run `bask-data validate`, or train it again."
-            raise BadData(self.path, "", expected="a network that loads", got=str(error)[:200], fix=fix) from error
+            got = str(error)[:200]
+            raise BadData(self.path, "", expected="a network that loads", got=got, fix=REMAKE) from error
 
     def curve(self) -> pa.Table:
         """The training curve as (step, name, value) rows."""
