@@ -36,6 +36,9 @@ from bask_data.nn.augment import (
 REDRAWS = 8
 """Times a non-match that came too close to its match is drawn again before it is left out."""
 
+N_OF_ITSELF = 4096
+"""Pixels of an object, at most, of which the matches of an image with itself are taken."""
+
 LEAST_SHOWN = 0.25
 """Share of the matches in view that a pasted object has to leave visible; else the pair goes without it."""
 
@@ -87,7 +90,8 @@ class SampleSettings:
         foreground_share: share of non-matches on the sampled instance; `auto` is the share of the image it covers.
         clearance: pixels around the true match from which no non-match is taken.
         self_pairs: probability that both images of a pair are the same one, changed apart: its matches are exact, where
-            those of two views are as far off as the cameras' poses.
+            those of two views are as far off as the cameras' poses, and lie anywhere on the object, where those of two
+            views need depth in both.
     """
 
     size: tuple[int, int]
@@ -207,7 +211,11 @@ def _example(
     # Pairs are listed in one order, but matches are looked for from either side.
     both = [(pair.rgb_a, pair.instance_a, pair.uv_a), (pair.rgb_b, pair.instance_b, pair.uv_b)][:: rng.choice([1, -1])]
     if sample.self_pairs and rng.random() < sample.self_pairs:
-        both = [both[0], both[0]]
+        rgb, instance, uv = both[0]
+        if (instance == chosen).any():
+            uv = _pixels_of(instance == chosen, rng)
+            of_chosen, anchor = np.ones(len(uv), bool), 0
+        both = [(rgb, instance, uv)] * 2
     a, b = (_placed(*image, anchor, flipped, sample.size, augment, rng) for image in both)
     visible = of_chosen & a.shows(chosen) & b.shows(chosen)
     if not visible.any():
@@ -220,6 +228,13 @@ def _example(
     others = non_matches(b.labels == chosen, b.uv[taken], sample, rng)
     # Looks are drawn last, so that where a match lies does not depend on how images are coloured.
     return _view(a, augment, rng), _view(b, augment, rng), a.uv[taken], b.uv[taken], *others
+
+
+def _pixels_of(mask: Bool[ndarray, "h w"], rng: Generator) -> Float[ndarray, "m 2"]:
+    """Pixels of a mask, evenly drawn."""
+    on = np.flatnonzero(mask)
+    v, u = np.divmod(rng.choice(on, min(N_OF_ITSELF, len(on)), replace=False), mask.shape[1])
+    return np.stack([u, v], axis=1).astype(np.float64)
 
 
 def _placed(

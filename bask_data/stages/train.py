@@ -96,8 +96,8 @@ class TrainParams(Params):
         0.0,
         ge=0,
         le=1,
-        description="Probability that both images of a pair are the same one, changed apart: exact matches, where "
-        "those of two views are as far off as the poses.",
+        description="Probability that both images of a pair are the same one, changed apart: matches are exact and all "
+        "over the object; those of two views are as far off as the poses, and need depth in both.",
     )
     learning_rate: float = Field(1e-3, gt=0, description="Adam's rate.")
     weight_decay: float = Field(1e-4, ge=0, description="Adam's weight decay.")
@@ -181,7 +181,7 @@ class TrainParams(Params):
         return patience
 
 
-@stage(makes=DescriptorNet, version=2, resumable=True, together=True)
+@stage(makes=DescriptorNet, version=3, resumable=True, together=True)
 def train(
     scans: list[Scan],
     masks: list[VisibleMasks],

@@ -92,6 +92,36 @@ def test_every_match_lies_on_the_surface_it_belongs_to_however_images_are_change
         np.testing.assert_array_equal(points_a[both], points_b[both])
 
 
+def places_on_plane(rgb: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Where matches lie on the plane, and the matrix that tells it of pixels (u, v, 1); None if too little is seen."""
+    matrix = plane_from_pixels(rgb, uv, seen_at(rgb, uv)[0, 2])
+    return None if matrix is None else (np.column_stack([uv, np.ones(len(uv))]) @ matrix, matrix)
+
+
+@given(step=st.integers(0, 2**31), augment=st.builds(lambda **chosen: replace(COLOURLESS, **chosen), **GEOMETRY))
+@settings(max_examples=50)
+def test_matches_of_an_image_with_itself_are_exact(step, augment):
+    batch = batch_of_step(RampPairs(2, n_scans=2), 0, step, replace(SAMPLE, n_pairs=1, self_pairs=1.0), augment)
+    a, b = places_on_plane(batch.rgb_a[0], batch.uv_a[0]), places_on_plane(batch.rgb_b[0], batch.uv_b[0])
+    if a is not None and b is not None:
+        for _, matrix in (a, b):
+            assert np.linalg.norm((a[0] - b[0]) @ np.linalg.inv(matrix[:2]), axis=1).max() < 0.5
+
+
+def test_matches_of_an_image_with_itself_lie_all_over_the_object():
+    # Those of two images are 5 pixels apart here, and on real objects only where both have depth.
+    source = RampPairs(1)
+    _, listed = source.points()
+    away = []
+    for step in range(10):
+        sample = replace(SAMPLE, n_pairs=1, self_pairs=1.0)
+        batch = batch_of_step(source, 0, step, sample, replace(COLOURLESS, zoom=(1.0, 1.0)))
+        found = places_on_plane(batch.rgb_a[0], batch.uv_a[0])
+        assert found is not None
+        away.append(np.linalg.norm(found[0][:, None] - listed, axis=-1).min(axis=1))
+    assert 0.8 < np.mean(np.concatenate(away) > 0.7) < 1.0
+
+
 def test_matches_are_read_off_nearly_all_images():
     # The test above skips images that show too little of an object to read them.
     source, n_read = RampPairs(2, n_scans=2), 0
