@@ -31,7 +31,19 @@ from bask_data.params import Params, first_fault
 from bask_data.pipeline import STAGES
 from bask_data.presets import PRESETS, PresetName
 from bask_data.sim.options import SimOptions, TaskName
-from bask_data.stage import Config, Outcome, Stage, State, follow, is_follower, plan, processes, run, state_told
+from bask_data.stage import (
+    Config,
+    Outcome,
+    Stage,
+    State,
+    follow,
+    foretold,
+    is_follower,
+    plan,
+    processes,
+    run,
+    state_told,
+)
 
 Root = Annotated[Path, typer.Argument(help="The dataset's directory.", metavar="ROOT")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
@@ -60,6 +72,7 @@ Set = Annotated[
     typer.Option("--set", help="One parameter: stage.field=value. May be repeated.", metavar="STAGE.FIELD=VALUE"),
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be made, and why, and make nothing.")]
+AFTER_DRY_RUN = "the same without --dry-run"
 
 app = typer.Typer(
     name="bask-data",
@@ -394,14 +407,14 @@ def _add_stage(stage: Stage) -> None:
         else:
             _refuse_without_pick(options)
             with shown_progress(), _executor(options["jobs"], options["cluster"]) as executor:
-                for outcome in run(tasks, executor=executor, force=force, dry_run=dry_run):
+                for outcome in foretold(tasks, set(), force) if dry_run else run(tasks, executor=executor, force=force):
                     show_outcome(outcome)
                     _show_findings(outcome)
                     outcomes.append(outcome)
         if variant != "main" and not dry_run and any(outcome.status == "made" for outcome in outcomes):
             dataset.add_variant(stage.makes, variant, Variant(inputs=chosen))
         saved_nothing = bool(options.get("pick")) and not outcomes
-        _finish(stage.name, outcomes, json_, "" if saved_nothing else following)
+        _finish(stage.name, outcomes, json_, "" if saved_nothing else AFTER_DRY_RUN if dry_run else following)
 
     _command(app, stage.name, stage.help, parameters, body)
 
@@ -608,13 +621,14 @@ def run_all(
             planned.append(plan(dataset, stage, config=parameters, only=items, variant=variant))
     # All are planned before any is made: a bad parameter of a late stage must not cost the time of the first.
     outcomes: list[Outcome] = []
+    coming: set[Path] = set()
     with shown_progress(), _executor(jobs, cluster) as executor:
         for tasks in planned:
-            for outcome in run(tasks, executor=executor, force=force, dry_run=dry_run):
+            for outcome in foretold(tasks, coming, force) if dry_run else run(tasks, executor=executor, force=force):
                 show_outcome(outcome)
                 _show_findings(outcome)
                 outcomes.append(outcome)
-    _finish("run", outcomes, json_, f"bask-data report {_quoted(root)}")
+    _finish("run", outcomes, json_, AFTER_DRY_RUN if dry_run else f"bask-data report {_quoted(root)}")
 
 
 @app.command()

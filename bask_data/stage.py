@@ -21,7 +21,7 @@ import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, as_completed
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -47,7 +47,7 @@ from bask_data.artifact import (
 from bask_data.dataset import Dataset, Splits, Variant, check_name
 from bask_data.errors import BadData, BaskError, UsageError
 from bask_data.params import Params, first_fault
-from bask_data.progress import progress, report
+from bask_data.progress import progress, report, tell
 
 __all__ = [
     "Config",
@@ -346,24 +346,19 @@ def _items_of(dataset: Dataset, given: Input, item: str, params: Params) -> list
 
 def key_parts(task: Task) -> dict[str, Any]:
     """Everything the result depends on; its digest is the skip key. `BadData` when an input has no manifest."""
+    paths = [task.input_path(binding) for bindings in task.inputs.values() for binding in bindings]
     parts = {
         "kind": task.stage.makes.kind,
         "schema": task.stage.makes.schema_version,
         "stage": task.stage.name,
         "version": task.stage.version,
         "params": task.params.model_dump(mode="json"),
-        "inputs": input_digests(task),
+        "inputs": {path.relative_to(task.root).as_posix(): read_manifest(path).digest for path in paths},
     }
     if task.stage.wants_splits:
         parts["splits"] = task.splits.model_dump(mode="json")
     files = {name: file_digest(path) for name, path in parameter_files(task).items()}
     return {**parts, "files": files} if files else parts
-
-
-def input_digests(task: Task) -> dict[str, str]:
-    """The digest of each input, by its path in the dataset. `BadData` when one has no manifest."""
-    paths = [task.input_path(binding) for bindings in task.inputs.values() for binding in bindings]
-    return {path.relative_to(task.root).as_posix(): read_manifest(path).digest for path in paths}
 
 
 def parameter_files(task: Task) -> dict[str, Path]:
@@ -435,13 +430,13 @@ def _difference(manifest: Manifest, parts: dict[str, Any]) -> str:
 
 
 def state_told(task: Task) -> State:
-    """`state_of` for a list that a broken input should not end: what is made from it is blocked."""
+    """`state_of` for a list that one broken input, or a file that is not there, should not end: it is blocked."""
     try:
         state = state_of(task)
         if state.status == "missing":
-            input_digests(task)  # Reads what it would be made of.
+            key_parts(task)  # Reads what it would be made of.
         return state
-    except BadData as error:
+    except BaskError as error:
         return State("blocked", str(error))
 
 
@@ -537,9 +532,9 @@ def _fill_resumable(task: Task, key: str, fill: Callable[[Path], Manifest], forc
     scratch = _resumed(task, key)
     folder, prefix = scratch.parent, scratch.name.removesuffix(key[:32])
     folder.mkdir(exist_ok=True)
+    lock = FileLock(folder / f"{prefix}.lock", timeout=0)
     try:
-        # The others of a group wait for its first, and not for long: it does not wait for another group.
-        with FileLock(folder / f"{prefix}.lock", timeout=-1 if processes() == 1 else 0):
+        with _patiently(lock, task) if processes() == 1 else lock:
             if not force and state_of(task).status == "up to date":
                 # Another process made it while this one waited for the lock.
                 return read_manifest(task.target)
@@ -557,6 +552,20 @@ def _fill_resumable(task: Task, key: str, fill: Callable[[Path], Manifest], forc
         fix = "wait until that has ended."
         raise UsageError(task.label, "", expected="nobody else to make it", got="another process", fix=fix) from None
     return manifest
+
+
+@contextmanager
+def _patiently(lock: FileLock, task: Task) -> Iterator[None]:
+    """The lock, whenever it is free; that it is waited for is told. A group does not: its others wait for its first."""
+    try:
+        lock.acquire()
+    except Timeout:
+        tell(f"{task.label}: another process is making it; this one waits until that has ended")
+        lock.acquire(timeout=-1)
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def processes() -> int:
@@ -622,18 +631,27 @@ def _peak_bytes() -> int:
         return peak if sys.platform == "darwin" else peak * 1024
 
 
-def run(
-    tasks: Sequence[Task], *, executor: Executor | None = None, force: bool = False, dry_run: bool = False
-) -> Iterator[Outcome]:
+def foretold(tasks: Sequence[Task], coming: set[Path], force: bool = False) -> Iterator[Outcome]:
+    """What `run` would do, and why.
+
+    Args:
+        coming: paths of what earlier stages would make; what these tasks would is added.
+    """
+    for task in tasks:
+        state = state_told(task)
+        paths = [task.input_path(binding) for bindings in task.inputs.values() for binding in bindings]
+        lacking = [path for path in paths if not (path / MANIFEST).exists()]
+        if state.status == "blocked" and lacking and coming.issuperset(lacking):
+            state = State("missing", f"after {', '.join(path.relative_to(task.root).as_posix() for path in lacking)}")
+        would = state.status in ("missing", "stale") or (force and state.status == "up to date")
+        if would:
+            coming.add(task.target)
+        status: Any = "would make" if would else state.status
+        yield Outcome(task.label, task.stage.makes.kind, task.item, task.variant, str(task.target), status, state.why)
+
+
+def run(tasks: Sequence[Task], *, executor: Executor | None = None, force: bool = False) -> Iterator[Outcome]:
     """Make what is not up to date, here or on any executor, and yield outcomes as they come."""
-    if dry_run:
-        for task in tasks:
-            state = state_told(task)
-            status: Any = "would make" if state.status in ("missing", "stale") or force else state.status
-            yield Outcome(
-                task.label, task.stage.makes.kind, task.item, task.variant, str(task.target), status, state.why
-            )
-        return
     if executor is None:
         for task in tasks:
             yield make(task, force)

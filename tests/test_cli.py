@@ -12,8 +12,9 @@ from typer.testing import CliRunner, Result
 import bask_data.core
 from bask_data.cli import app
 from bask_data.dataset import Dataset
-from bask_data.kinds import Demonstration, Scan
+from bask_data.kinds import Correspondences, Demonstration, Scan, VisibleMasks
 from bask_data.pipeline import STAGES
+from tests.datasets import publish_artifact
 from tests.test_stage import add_scan
 
 SHELF = str(Path(__file__).parents[1] / "datasets" / "apc_shelf")
@@ -129,7 +130,9 @@ def test_dry_run_says_what_and_why_and_makes_nothing(dataset: Dataset) -> None:
     ended = cli("run", dataset.root, "--dry-run", "--json")
     outcomes = json.loads(ended.stdout)["outcomes"]
     assert outcomes[0]["label"] == "reconstruct a"
-    assert outcomes[0]["status"] == "would make"
+    assert {outcome["status"] for outcome in outcomes} == {"would make"}
+    assert outcomes[1]["why"] == "after reconstruction/a"
+    assert "next: the same without --dry-run" in ended.stderr
     assert not (dataset.root / "reconstruction").exists()
 
 
@@ -148,6 +151,18 @@ def test_a_broken_input_is_told_of_what_is_made_of_it_and_ends_no_list(dataset: 
     outcomes = json.loads(cli("run", dataset.root, "--dry-run", "--json").stdout)["outcomes"]
     assert outcomes[0]["status"] == "blocked"
     assert cli("reconstruct", dataset.root).exit_code == 4
+
+
+def test_a_file_of_a_parameter_that_is_not_there_ends_no_list(dataset: Dataset) -> None:
+    for kind, item in ((VisibleMasks, "a"), (Correspondences, "a")):
+        publish_artifact(dataset, kind, item, lambda out: None)
+    (dataset.root / "params.yaml").write_text("train: {weights: nowhere.pth}")
+    ended = cli("status", dataset.root, "--json")
+    assert ended.exit_code == 0
+    rows = {row["label"]: row for row in json.loads(ended.stdout)["artifacts"]}
+    assert rows["train"]["status"] == "blocked"
+    assert "train: weights: expected a file, got nowhere.pth" in rows["train"]["why"]
+    assert rows["reconstruct a"]["status"] == "missing"
 
 
 def test_info_and_validate_of_a_recording(dataset: Dataset) -> None:

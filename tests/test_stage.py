@@ -15,7 +15,7 @@ from bask_data.artifact import read_manifest
 from bask_data.dataset import Dataset, Splits, Variant
 from bask_data.errors import UsageError
 from bask_data.kinds import Demonstration, DescriptorNet, Reconstruction, ReferenceKeypoints, Scan
-from bask_data.stage import Outcome, Stage, State, follow, in_order, is_follower, make, plan, run, state_of
+from bask_data.stage import Outcome, Stage, State, follow, foretold, in_order, is_follower, make, plan, run, state_of
 from tests.datasets import publish_recording
 from tests.toy_stages import fuse, label, learn, pick
 
@@ -133,7 +133,7 @@ def test_failure_of_one_item_leaves_the_others_and_the_old_artifact(dataset: Dat
 
 
 def test_dry_run_makes_nothing(dataset: Dataset) -> None:
-    outcomes = list(run(plan(dataset, fuse), dry_run=True))
+    outcomes = list(foretold(plan(dataset, fuse), set()))
     assert [outcome.status for outcome in outcomes] == ["would make", "would make"]
     assert not (dataset.root / "reconstruction").exists()
 
