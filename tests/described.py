@@ -117,12 +117,17 @@ def publish_masks(dataset: Dataset, item: str, instances: Sequence[np.ndarray], 
 
 
 def publish_network(
-    dataset: Dataset, variant: str = "main", learned_from: tuple[str, ...] | None = None, **params: object
+    dataset: Dataset,
+    variant: str = "main",
+    learned_from: tuple[str, ...] | None = None,
+    held_out: float = 0.0,
+    **params: object,
 ) -> None:
     """Files in the place of a network; nothing can be described with it."""
 
     def fill(out: Path) -> None:
-        DescriptorNet.write(out, validated_on="nothing", metrics={}, curve=[], learned_from=learned_from)
+        told = {"learned_from": learned_from, "held_out": held_out}
+        DescriptorNet.write(out, validated_on="nothing", metrics={}, curve=[], **told)
         (out / "weights.safetensors").touch()
         (out / "model.json").write_text("{}")
 

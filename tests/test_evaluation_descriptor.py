@@ -289,7 +289,8 @@ def test_an_image_is_moved_with_its_pixels() -> None:
 def test_keypoints_are_found_by_who_knows_every_point_of_an_object(found: dict) -> None:
     [row] = found["variants"]["main"]["keypoints"].values()
     assert list(row) == ["training", "unseen view"]
-    for told, n_views in zip(row.values(), (2 * N_FRAMES, N_FRAMES), strict=True):
+    # The view they were picked in is none of those they are looked for in.
+    for told, n_views in zip(row.values(), (2 * N_FRAMES - 1, N_FRAMES), strict=True):
         assert told["views"] == n_views
         assert told["seen"] + told["hidden"] + told["outside"] == 10 * n_views
         assert min(told["seen"], told["hidden"]) > 15
@@ -334,6 +335,8 @@ def test_test_scenes_come_before_validation_and_those_before_frames(tmp_path: Pa
     assert held_out(dataset, ["main"]) == HeldOut(
         ("a", "b", "c"), 1.0, "frames that were trained on: nothing is held out"
     )
+    told = "frames that were trained on: nothing is held out from main"
+    assert held_out(dataset, ["half", "main"]) == HeldOut(("a", "b", "c"), 1.0, told)
     both = held_out(dataset, ["half", "third"])
     assert both.words == "held-out frames: the last 33% of each camera's, of scenes that were trained on"
     # The frames that neither saw are those that the greedier one left.
@@ -345,6 +348,8 @@ def test_test_scenes_come_before_validation_and_those_before_frames(tmp_path: Pa
     assert held_out(dataset, ["half"]) == HeldOut(("c",), 1.0, "held-out scenes (test): c")
     asked = held_out(dataset, ["half"], ["a", "c"])
     assert asked == HeldOut(("a", "c"), 1.0, "scenes asked for: a, c; trained on: a")
+    with pytest.raises(UsageError, match="--scenes: expected each scene once, got c more than once"):
+        held_out(dataset, ["half"], ["c", "a", "c"])
     assert held_out(dataset, ["half"], ["c"]).words == "scenes asked for: c; none of them was trained on"
 
 
@@ -363,7 +368,8 @@ def test_keypoints_of_held_out_frames_are_told_apart_from_those_trained_on(tmp_p
     publish_network(dataset, held_out=0.25)
     found = evaluated_descriptor(dataset, pairs=4, keypoints=6)
     [row] = found["variants"]["main"]["keypoints"].values()
-    assert [told["views"] for told in row.values()] == [9, 3]
+    # The view they were picked in is one of the nine.
+    assert [told["views"] for told in row.values()] == [8, 3]
 
 
 def test_what_is_missing_is_told(tmp_path: Path) -> None:
@@ -379,8 +385,14 @@ def test_what_is_missing_is_told(tmp_path: Path) -> None:
         held_out(dataset, ["main"])
 
 
+@pytest.mark.parametrize("alpha", [-1.0, float("inf"), float("nan")])
+def test_what_is_no_temperature_is_refused(shared: Dataset, alpha: float) -> None:
+    with pytest.raises(UsageError, match="--alpha: expected a finite number, 0 or more, got"):
+        evaluated_descriptor(shared, alpha=alpha)
+
+
 def test_a_network_that_does_not_load_is_told(shared: Dataset) -> None:
-    with pytest.raises(BadData, match="descriptor/main: expected a network that loads, got .*train it again"):
+    with pytest.raises(BadData, match="descriptor/main: expected a network that loads, got .*make it again"):
         LOADED(shared, "main")
 
 

@@ -54,9 +54,11 @@ def evaluated_descriptor(
         alpha: temperature of the heat maps whose truthfulness is measured.
 
     Raises:
-        UsageError: a scene or a variant is not there, or nothing can be matched.
+        UsageError: a scene or a variant is not there, nothing can be matched, or `alpha` is no temperature.
         BadData: a network does not load.
     """
+    if not 0 <= alpha < float("inf"):
+        raise UsageError("evaluate descriptor", "--alpha", expected="a finite number, 0 or more", got=alpha)
     aside = held_out(dataset, variants, scenes)
     networks = {name: _network(dataset, name) for name in variants}
     scores: dict[str, list[Scored]] = {name: [] for name in variants}

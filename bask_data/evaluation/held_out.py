@@ -44,6 +44,9 @@ def held_out(dataset: Dataset, variants: Sequence[str], scenes: Sequence[str] = 
     for name in scenes:
         if name not in known:
             raise UsageError(dataset.root, "--scenes", expected=f"one of {', '.join(known) or 'no scenes'}", got=name)
+    twice = sorted({name for name in scenes if scenes.count(name) > 1})
+    if twice:
+        raise UsageError(dataset.root, "--scenes", expected="each scene once", got=f"{twice[0]} more than once")
     learned = learned_scenes(dataset)
     if scenes:
         seen = [name for name in scenes if name in learned]
@@ -55,9 +58,12 @@ def held_out(dataset: Dataset, variants: Sequence[str], scenes: Sequence[str] = 
             return _there(dataset, HeldOut(names, 1.0, f"held-out scenes ({use}): {', '.join(names)}"))
     nets = [DescriptorNet(dataset.path(DescriptorNet, variant=name)) for name in variants]
     # A frame is new to all variants where the one that kept the fewest did not see it.
-    share = min(float(net.manifest.params.get("held_out", 0.0)) for net in nets)
+    share = min(net.metadata.held_out for net in nets)
     if share <= 0:
-        return _there(dataset, HeldOut(tuple(learned), 1.0, "frames that were trained on: nothing is held out"))
+        words = "frames that were trained on: nothing is held out"
+        kept_none = [name for name, net in zip(variants, nets, strict=True) if net.metadata.held_out <= 0]
+        words += f" from {', '.join(kept_none)}" if len(kept_none) < len(nets) else ""
+        return _there(dataset, HeldOut(tuple(learned), 1.0, words))
     words = f"held-out frames: the last {share:.0%} of each camera's, of scenes that were trained on"
     return _there(dataset, HeldOut(tuple(learned), share, words))
 

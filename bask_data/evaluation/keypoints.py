@@ -99,9 +99,9 @@ def keypoint_table(
             raise UsageError(one.root, "--against", expected="scenes whose truth knows transforms", got="none")
     table: dict[str, Any] = {name: {} for name in networks}
     for objects, scenes in _sets_of_objects(dataset, learned).items():
-        keypoints = _picked(dataset, scenes, n_keypoints, seed)
         # Where frames were held out rather than scenes, the training views are what comes before them.
         end = 1.0 - held_out.share if set(held_out.scenes) <= set(learned) and held_out.share < 1 else 1.0
+        keypoints = _picked(dataset, scenes, end, n_keypoints, seed)
         places = {
             TRAINING: _places(keypoints, dataset, scenes, (0.0, end), is_other=False),
             UNSEEN_VIEW: _places(keypoints, dataset, unseen, (1.0 - held_out.share, 1.0), is_other=False),
@@ -134,15 +134,19 @@ def _sets_of_objects(dataset: Dataset, scenes: Sequence[str]) -> dict[tuple[str,
     return found
 
 
-def _picked(dataset: Dataset, scenes: Sequence[str], n: int, seed: int) -> Keypoints:
-    """Random pixels, as equally many of each object as can be, of the first scene's view that shows most of them."""
+def _picked(dataset: Dataset, scenes: Sequence[str], end: float, n: int, seed: int) -> Keypoints:
+    """Random pixels, as equally many of each object as can be, of the first scene's view that shows most of them.
+
+    Args:
+        end: share of each camera's frames, the first, that are taken into account.
+    """
     import numpy as np
 
     from bask_data.core.geometry import invert_rigid, transform
     from bask_data.core.local_warp import surface_tangents
 
     rng, frames = np.random.default_rng([seed, 3]), Frames(dataset, scenes[0])
-    frame = max(frames.between(0.0, 1.0, MOST_FRAMES), key=lambda one: _shown(frames, one))
+    frame = max(frames.between(0.0, end, MOST_FRAMES), key=lambda one: _shown(frames, one))
     labels, depth, world = frames.labels(frame), frames.depth(frame), frames.world_from_camera(frame)
     uv, label = drawn_pixels(frames, frame, depth > 0, n, rng)
     points = transform(world, surface_tangents(uv, depth, labels, frames.K(frame.camera))[0])
@@ -208,7 +212,8 @@ def _places(
         # Scenes stand still: where their points are in one frame, they are in all.
         points_world = carried(ObjectPoints(labels, keypoints.objects, points), frames.truth, 1)[0]
         chosen = frames.between(*span, MOST_FRAMES)
-        places += [_place(frames, frame, labels, points_world) for frame in chosen]
+        own = keypoints.frame if frames.scene == keypoints.scene and not is_other else None
+        places += [_place(frames, frame, labels, points_world) for frame in chosen if frame != own]
     return places
 
 

@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bask_data.artifact import REMAKE, Artifact, Metadata, TableSpec, read_json
+from bask_data.artifact import REMAKE, Artifact, Metadata, TableSpec, file_digest, read_json
 from bask_data.errors import BadData
 from bask_data.kinds.arrays import start
 from bask_data.kinds.tables import read_table, write_table
@@ -26,6 +26,7 @@ class DescriptorMetadata(Metadata):
         step: optimiser steps after which the weights were as published.
         chosen_by: the metric that was best then; null: they are the last.
         learned_from: the scenes it was trained on; null: not known.
+        held_out: share of each camera's frames in them, the last, that were kept from training.
     """
 
     validated_on: str
@@ -33,6 +34,7 @@ class DescriptorMetadata(Metadata):
     step: int
     chosen_by: str | None
     learned_from: tuple[str, ...] | None = None
+    held_out: float = 0.0
 
 
 class DescriptorNet(Artifact):
@@ -71,10 +73,22 @@ class DescriptorNet(Artifact):
         from bask_data.nn.network import load
 
         try:
+            self._check_weights()
             return load(self.path)
+        except BadData:
+            raise
         except Exception as error:  # torch and safetensors raise their own kinds for broken files.
             got = str(error)[:200]
             raise BadData(self.path, "", expected="a network that loads", got=got, fix=REMAKE) from error
+
+    def _check_weights(self) -> None:
+        """Refuse weights that are not those that were published: a network with a spoilt number gives figures, too."""
+        name = "weights.safetensors"
+        expected, got = self.manifest.files[name].sha256, file_digest(self.path / name)
+        if got != expected:
+            raise BadData(
+                self.path / name, "", expected=f"SHA-256 {expected[:12]}...", got=f"{got[:12]}...", fix=REMAKE
+            )
 
     def curve(self) -> pa.Table:
         """The training curve as (step, name, value) rows."""
@@ -103,10 +117,11 @@ class DescriptorNet(Artifact):
         step: int = 0,
         chosen_by: str | None = None,
         learned_from: tuple[str, ...] | None = None,
+        held_out: float = 0.0,
     ) -> None:
         """Write metadata and curve; `weights.safetensors` and `model.json` are written beside them by the network."""
         metadata = {"validated_on": validated_on, "metrics": metrics, "step": step, "chosen_by": chosen_by}
-        start(out, DescriptorNet, {**metadata, "learned_from": learned_from})
+        start(out, DescriptorNet, {**metadata, "learned_from": learned_from, "held_out": held_out})
         columns = {
             "step": [row[0] for row in curve],
             "name": [row[1] for row in curve],

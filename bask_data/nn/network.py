@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float, UInt8
 from numpy import ndarray
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor, nn
 
 from bask_data.core.geometry import scale_pixels
@@ -145,7 +145,8 @@ class DescriptorNetwork(nn.Module):
     def save(self, folder: Path) -> None:
         """Write `weights.safetensors` and `model.json`."""
         state = {name: value.detach().cpu().contiguous() for name, value in self.encoder.state_dict().items()}
-        save_file(state, folder / "weights.safetensors")
+        # `save_file` would make a file that nobody but its owner may read.
+        (folder / "weights.safetensors").write_bytes(save(state))
         content = {
             "network": BACKBONES[self.settings.backbone].description,
             "distance": "|a - b| / sqrt(descriptor_dim)",

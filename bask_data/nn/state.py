@@ -73,6 +73,22 @@ def saved_step(folder: Path) -> int:
         return int(json.loads(opened.metadata()["step"]))
 
 
+def remove_damaged_state(folder: Path) -> bool:
+    """Take away a saved state that a disk has spoilt; whether there was one. All it costs is time."""
+    if not (folder / STATE).exists():
+        return False
+    try:
+        with safe_open(folder / STATE, framework="pt") as opened:
+            metadata = {name: json.loads(opened.metadata()[name]) for name in ("step", "best_step", "curve")}
+        if metadata["best_step"]:
+            with safe_open(folder / BEST.format(step=metadata["best_step"]), framework="pt"):
+                return False
+    except Exception:  # safetensors raises its own kinds, and what it reads may be anything.
+        remove_state(folder)
+        return True
+    return False
+
+
 def load_state(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> Progress:
     """Take over the state saved in a folder; the very beginning where there is none."""
     if not (folder / STATE).exists():

@@ -33,6 +33,9 @@ def read_weights(file: Path) -> dict[str, Tensor]:
         isinstance(name, str) and isinstance(value, Tensor) for name, value in content.items()
     ):
         raise ValueError("expected tensors by name, as torch.save(network.state_dict(), ...) writes them")
+    laid_out = next((name for name, value in content.items() if value.layout != torch.strided), None)
+    if laid_out is not None:
+        raise ValueError(f"{laid_out} is sparse; expected dense tensors")
     spoilt = next((name for name, value in content.items() if not torch.isfinite(value).all()), None)
     if spoilt is not None:
         raise ValueError(f"{spoilt} has numbers that are not finite")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from bask_data.dataset import Splits
 from bask_data.errors import BadData, UsageError
@@ -134,15 +134,29 @@ class Pairs:
         return found
 
 
-def divided(everything: list[ScanPairs], splits: Splits, share: float) -> tuple[Pairs, Pairs, str]:
-    """Pairs to learn from, pairs to validate on, and what the latter are, in words."""
+class Division(NamedTuple):
+    """What is learned from and what is validated on.
+
+    Args:
+        words: what the latter is, for people.
+        share: of each camera's frames in the scenes learned from, the last, that are kept from training.
+    """
+
+    learned: Pairs
+    held_out: Pairs
+    words: str
+    share: float
+
+
+def divided(everything: list[ScanPairs], splits: Splits, share: float) -> Division:
+    """The scenes set aside are validated on, or without any, that share of each camera's frames."""
     aside = {*splits.validation, *splits.test}
     learning = [scan for scan in everything if (scan.name in splits.train if splits.train else scan.name not in aside)]
     validating = [scan for scan in everything if scan.name in splits.validation]
     if not learning:
         raise UsageError("train", "splits", expected="a scene to train on", got="none", fix="see `bask-data split`.")
     if validating:
-        learned, held_out = _all_pairs(learning), _all_pairs(validating)
+        learned, held_out, share = _all_pairs(learning), _all_pairs(validating), 0.0
         names = ", ".join(scan.name for scan in validating)
         words = f"held-out scenes: {names} ({len(held_out)} pairs)"
     else:
@@ -155,7 +169,7 @@ def divided(everything: list[ScanPairs], splits: Splits, share: float) -> tuple[
             got=f"none in {', '.join(scan.name for scan in learning)}",
             fix="look at the rejections that `bask-data correspondences` counted, or lower --held-out.",
         )
-    return Pairs(learned), Pairs(held_out), words
+    return Division(Pairs(learned), Pairs(held_out), words, share)
 
 
 def _all_pairs(scans: list[ScanPairs]) -> list[tuple[ScanPairs, int]]:

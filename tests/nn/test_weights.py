@@ -120,6 +120,12 @@ def test_a_broken_file_is_refused(tmp_path, suffix):
         read_weights(tmp_path / f"broken{suffix}")
 
 
+def test_sparse_tensors_are_refused(tmp_path):
+    torch.save({"conv1.weight": torch.eye(3).to_sparse()}, tmp_path / "sparse.pth")
+    with pytest.raises(ValueError, match=r"conv1.weight is sparse; expected dense tensors"):
+        read_weights(tmp_path / "sparse.pth")
+
+
 def test_a_torch_file_without_tensors_by_name_is_refused(tmp_path):
     torch.save([1, 2, 3], tmp_path / "list.pth")
     with pytest.raises(ValueError, match="expected tensors by name"):

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import struct
 import typing
 from contextlib import nullcontext
@@ -14,7 +15,7 @@ import torch
 from filelock import FileLock
 
 from bask_data.dataset import Dataset, Splits
-from bask_data.errors import UsageError
+from bask_data.errors import BadData, UsageError
 from bask_data.kinds import DescriptorNet
 from bask_data.nn.augment import AugmentSettings
 from bask_data.nn.backbones import BACKBONES
@@ -25,7 +26,8 @@ from bask_data.nn.resnet import DenseResNet
 from bask_data.nn.sampling import SampleSettings
 from bask_data.nn.state import saved_step
 from bask_data.nn.training import TrainingSettings
-from bask_data.stage import make, plan
+from bask_data.progress import listen
+from bask_data.stage import _resumed, digest_of, key_parts, make, plan
 from bask_data.stages import train as train_module
 from bask_data.stages.train import TrainParams, train
 from tests.nn.pairs import SIZE
@@ -77,17 +79,69 @@ def test_training_again_gives_the_same_bytes(dataset, trained):
     assert make(task, force=True).digest == trained.digest
 
 
+def test_weights_may_be_read_by_whom_all_else_may(dataset, trained):
+    modes = {file.name: file.stat().st_mode for file in dataset.path(DescriptorNet).iterdir()}
+    assert modes["weights.safetensors"] == modes["model.json"]
+
+
+def test_weights_with_a_spoilt_number_are_not_used(dataset, trained, tmp_path):
+    path = shutil.copytree(dataset.path(DescriptorNet), tmp_path / "main")
+    content = bytearray((path / "weights.safetensors").read_bytes())
+    content[-100] ^= 1
+    (path / "weights.safetensors").write_bytes(content)
+    load(path, "cpu")
+    with pytest.raises(BadData, match=r"main/weights.safetensors: expected SHA-256 \w+..., got .*fix: make it again"):
+        DescriptorNet(path).network()
+
+
+def test_a_state_that_a_disk_has_spoilt_costs_no_more_than_time(dataset, trained):
+    [task] = plan(dataset, train, options=SMALL)
+    scratch = _resumed(task, digest_of(key_parts(task)))
+    scratch.mkdir(parents=True)
+    (scratch / "state.safetensors").write_bytes(b"spoilt")
+    told: list[str] = []
+    listen(None, told.append)
+    try:
+        assert make(task, force=True).digest == trained.digest
+    finally:
+        listen(None)
+    assert told[:1] == ["the state that an interrupted training saved is damaged: trained from the beginning"]
+    assert not scratch.exists()
+
+
+def test_another_training_of_the_same_network_is_waited_for_and_it_is_told(dataset, trained):
+    [task] = plan(dataset, train, options={**SMALL, "seed": 11})
+    other = FileLock(dataset.root / ".scratch" / "resume~descriptor~main~~.lock", thread_local=False)
+    told: list[str] = []
+
+    def hear(line: str) -> None:
+        told.append(line)
+        other.release()
+
+    other.acquire()
+    listen(None, hear)
+    try:
+        assert make(task).status == "made"
+    finally:
+        listen(None)
+        other.release()
+    assert told[0] == "train: another process is making it; this one waits until that has ended"
+    assert made(dataset).status == "made"
+
+
 def test_without_other_scenes_the_last_frames_are_held_out_and_it_says_so(dataset, trained):
     words = DescriptorNet(dataset.path(DescriptorNet)).metadata.validated_on
     # 15 % of 5 frames is one; a pair holds it in 8 of 20 cases, in each of two scenes.
     assert words == "held-out frames: the last 2 of 10 (16 pairs), of scenes that were trained on"
+    assert DescriptorNet(dataset.path(DescriptorNet)).metadata.held_out == TrainParams().held_out
 
 
 def test_with_scenes_for_validation_those_are_held_out(tmp_path):
     dataset = learning_dataset(tmp_path / "d", ("a", "b", "c"), n_views=2)
     dataset.file.splits = Splits(train=("a",), validation=("b",), test=("c",))
     assert made(dataset, steps=1).status == "made"
-    assert DescriptorNet(dataset.path(DescriptorNet)).metadata.validated_on == "held-out scenes: b (2 pairs)"
+    metadata = DescriptorNet(dataset.path(DescriptorNet)).metadata
+    assert (metadata.validated_on, metadata.held_out) == ("held-out scenes: b (2 pairs)", 0.0)
 
 
 def test_nothing_held_out_is_said_and_gives_no_metrics(tmp_path):
@@ -334,6 +388,7 @@ def test_a_step_looks_at_a_share_of_the_image_as_large_as_all_of_it_would_show(d
         ({"zoom": (2.0, 1.0)}, r"zoom: expected 0.1 <= smallest <= largest <= 10, got \[2.0, 1.0\]"),
         ({"zoom": (1.0, 1e30)}, r"zoom: expected 0.1 <= smallest <= largest <= 10, got \[1.0, 1e\+30\]"),
         ({"pairs_per_step": 2, "accumulate": 3}, r"accumulate: expected at most 2, the pairs of a step, got 3"),
+        ({"seed": 1 << 63}, f"seed: expected less than {1 << 63}, got {1 << 63}"),
         ({"patience": 2, "best_by": "none"}, r"patience: expected a --best-by other than none, .*, got 2"),
     ],
 )
