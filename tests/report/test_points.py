@@ -204,7 +204,7 @@ def test_a_network_that_does_not_load_or_fit_is_named(tmp_path):
     with pytest.raises(BadData, match="descriptor_dim: expected 3 as the reference keypoints, got 8"):
         Finder(dataset, "main", descriptor, picks)
     (descriptor.path / "weights.safetensors").write_bytes(b"x" * 50)
-    with pytest.raises(BadData, match="expected a network that loads, got .*fix: make it again"):
+    with pytest.raises(BadData, match="expected SHA-256 .*fix: make it again"):
         Finder(dataset, "main", descriptor, picks)
 
 
