@@ -393,7 +393,7 @@ def _add_stage(stage: Stage) -> None:
                 follow(task, force)
             return
         outcomes = []
-        following = _following(stage, root, variant, chosen)
+        following = AFTER_DRY_RUN if dry_run else _following(stage, root, variant, chosen)
         if options.get("pick"):
             outcomes = _pick(
                 dataset,
@@ -414,7 +414,7 @@ def _add_stage(stage: Stage) -> None:
         if variant != "main" and not dry_run and any(outcome.status == "made" for outcome in outcomes):
             dataset.add_variant(stage.makes, variant, Variant(inputs=chosen))
         saved_nothing = bool(options.get("pick")) and not outcomes
-        _finish(stage.name, outcomes, json_, "" if saved_nothing else AFTER_DRY_RUN if dry_run else following)
+        _finish(stage.name, outcomes, json_, "" if saved_nothing else following)
 
     _command(app, stage.name, stage.help, parameters, body)
 

@@ -117,11 +117,10 @@ def _stage(dataset: Dataset, task: Task, config: Config) -> dict[str, Any]:
     params: list[Any] = list(sections)
     if stage.wants_splits:
         params.append({DATASET: ["splits"]})
-    inputs = [task.input_path(binding) for bindings in task.inputs.values() for binding in bindings]
     described: dict[str, Any] = {
         "desc": stage.help.splitlines()[0],
         "cmd": " ".join(words),
-        "deps": [path.relative_to(dataset.root).as_posix() for path in inputs]
+        "deps": [path.relative_to(dataset.root).as_posix() for path in task.input_paths]
         + [os.path.relpath(path, dataset.root) for path in parameter_files(task).values()],
     }
     if params:

@@ -21,7 +21,7 @@ import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, as_completed
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -199,6 +199,11 @@ class Task:
         """Where an input lies."""
         return self.dataset.path(binding.artifact, binding.item, binding.variant)
 
+    @property
+    def input_paths(self) -> list[Path]:
+        """Where all of them lie, in order."""
+        return [self.input_path(binding) for bindings in self.inputs.values() for binding in bindings]
+
 
 @dataclass(frozen=True)
 class State:
@@ -206,7 +211,7 @@ class State:
 
     Args:
         status: `blocked` when an input is missing.
-        why: in words, for `missing` empty.
+        why: in words, for `missing` empty, or foretold what it comes after.
     """
 
     status: Literal["up to date", "missing", "stale", "blocked"]
@@ -346,14 +351,13 @@ def _items_of(dataset: Dataset, given: Input, item: str, params: Params) -> list
 
 def key_parts(task: Task) -> dict[str, Any]:
     """Everything the result depends on; its digest is the skip key. `BadData` when an input has no manifest."""
-    paths = [task.input_path(binding) for bindings in task.inputs.values() for binding in bindings]
     parts = {
         "kind": task.stage.makes.kind,
         "schema": task.stage.makes.schema_version,
         "stage": task.stage.name,
         "version": task.stage.version,
         "params": task.params.model_dump(mode="json"),
-        "inputs": {path.relative_to(task.root).as_posix(): read_manifest(path).digest for path in paths},
+        "inputs": {path.relative_to(task.root).as_posix(): read_manifest(path).digest for path in task.input_paths},
     }
     if task.stage.wants_splits:
         parts["splits"] = task.splits.model_dump(mode="json")
@@ -384,7 +388,7 @@ def state_of(task: Task) -> State:
     for bindings in task.inputs.values():
         for binding in bindings:
             path = task.input_path(binding)
-            if not (path / "artifact.json").exists():
+            if not (path / MANIFEST).exists():
                 return State("blocked", f"{path.relative_to(task.root).as_posix()} is missing{_instead(binding, path)}")
     wanted = [given for given in task.stage.inputs if task.params.reads(given.artifact.kind) is None]
     for given in wanted:
@@ -534,7 +538,7 @@ def _fill_resumable(task: Task, key: str, fill: Callable[[Path], Manifest], forc
     folder.mkdir(exist_ok=True)
     lock = FileLock(folder / f"{prefix}.lock", timeout=0)
     try:
-        with _patiently(lock, task) if processes() == 1 else lock:
+        with _acquired(lock, task) if processes() == 1 else lock:
             if not force and state_of(task).status == "up to date":
                 # Another process made it while this one waited for the lock.
                 return read_manifest(task.target)
@@ -554,18 +558,13 @@ def _fill_resumable(task: Task, key: str, fill: Callable[[Path], Manifest], forc
     return manifest
 
 
-@contextmanager
-def _patiently(lock: FileLock, task: Task) -> Iterator[None]:
+def _acquired(lock: FileLock, task: Task) -> AbstractContextManager[object]:
     """The lock, whenever it is free; that it is waited for is told. A group does not: its others wait for its first."""
     try:
-        lock.acquire()
+        return lock.acquire()
     except Timeout:
         tell(f"{task.label}: another process is making it; this one waits until that has ended")
-        lock.acquire(timeout=-1)
-    try:
-        yield
-    finally:
-        lock.release()
+        return lock.acquire(timeout=-1)
 
 
 def processes() -> int:
@@ -639,8 +638,7 @@ def foretold(tasks: Sequence[Task], coming: set[Path], force: bool = False) -> I
     """
     for task in tasks:
         state = state_told(task)
-        paths = [task.input_path(binding) for bindings in task.inputs.values() for binding in bindings]
-        lacking = [path for path in paths if not (path / MANIFEST).exists()]
+        lacking = [path for path in task.input_paths if not (path / MANIFEST).exists()]
         if state.status == "blocked" and lacking and coming.issuperset(lacking):
             state = State("missing", f"after {', '.join(path.relative_to(task.root).as_posix() for path in lacking)}")
         would = state.status in ("missing", "stale") or (force and state.status == "up to date")

@@ -212,8 +212,9 @@ def _example(
     both = [(pair.rgb_a, pair.instance_a, pair.uv_a), (pair.rgb_b, pair.instance_b, pair.uv_b)][:: rng.choice([1, -1])]
     if sample.self_pairs and rng.random() < sample.self_pairs:
         rgb, instance, uv = both[0]
-        if (instance == chosen).any():
-            uv = _pixels_of(instance == chosen, rng)
+        mask = instance == chosen
+        if mask.any():
+            uv = _pixels_of(mask, rng)
             of_chosen, anchor = np.ones(len(uv), bool), 0
         both = [(rgb, instance, uv)] * 2
     a, b = (_placed(*image, anchor, flipped, sample.size, augment, rng) for image in both)

@@ -6,7 +6,9 @@ import json
 import os
 import shutil
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import safe_open
@@ -65,12 +67,17 @@ def _write(file: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> 
     written.replace(file)
 
 
+def _words(opened: safe_open) -> dict[str, Any]:
+    """What a state says beside its tensors."""
+    return {name: json.loads(text) for name, text in opened.metadata().items()}
+
+
 def saved_step(folder: Path) -> int:
     """Steps done when the state in a folder was saved; 0 where there is none."""
     if not (folder / STATE).exists():
         return 0
     with safe_open(folder / STATE, framework="pt") as opened:
-        return int(json.loads(opened.metadata()["step"]))
+        return int(_words(opened)["step"])
 
 
 def remove_damaged_state(folder: Path) -> bool:
@@ -79,10 +86,10 @@ def remove_damaged_state(folder: Path) -> bool:
         return False
     try:
         with safe_open(folder / STATE, framework="pt") as opened:
-            metadata = {name: json.loads(opened.metadata()[name]) for name in ("step", "best_step", "curve")}
-        if metadata["best_step"]:
-            with safe_open(folder / BEST.format(step=metadata["best_step"]), framework="pt"):
-                return False
+            _, best_step, _ = itemgetter("step", "best_step", "curve")(_words(opened))
+        if best_step:
+            with safe_open(folder / BEST.format(step=best_step), framework="pt"):
+                pass
     except Exception:  # safetensors raises its own kinds, and what it reads may be anything.
         remove_state(folder)
         return True
@@ -94,7 +101,7 @@ def load_state(folder: Path, network: nn.Module, optimiser: torch.optim.Optimize
     if not (folder / STATE).exists():
         return Progress()
     with safe_open(folder / STATE, framework="pt") as opened:
-        metadata = {name: json.loads(text) for name, text in opened.metadata().items()}
+        metadata = _words(opened)
         tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
     network.load_state_dict(
         {name.removeprefix("network."): value for name, value in tensors.items() if name.startswith("network.")}
