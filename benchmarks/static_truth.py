@@ -29,7 +29,7 @@ import numpy as np
 import torch
 from xfeat import XFeat, descriptors_at, upsampled
 
-from bask_data.console import shown_progress
+from bask_data.cli.console import shown_progress
 from bask_data.core.bayes_filter import Filter, Observation, settings_named, step
 from bask_data.core.geometry import project, transform
 from bask_data.core.heatmap import fitted

@@ -6,7 +6,7 @@ import pytest
 
 from bask_data.dataset import Dataset
 from bask_data.stage import plan, run
-from tests.test_cli import cli
+from tests.cli.test_commands import cli
 from tests.test_stage import add_scan
 from tests.toy_stages import fuse
 

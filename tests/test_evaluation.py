@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from bask_data.cli import app
+from bask_data.cli.app import app
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, UsageError

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from bask_data import evaluation
-from bask_data.cli import app
+from bask_data.cli.app import app
 from bask_data.core.geometry import in_image, invert_rigid, project, transform, unproject
 from bask_data.dataset import Dataset, Splits
 from bask_data.errors import BadData, UsageError

@@ -113,7 +113,7 @@ def test_a_hundred_kills_lose_nothing_finished(ingested: Path, tmp_path: Path) -
 
 ENCODE = """
 import sys, time
-from bask_data.cli import app
+from bask_data.cli.app import app
 from bask_data.kinds import DescriptorNet, arrays
 from tests.tracked import ColourNetwork
 

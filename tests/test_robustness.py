@@ -13,7 +13,7 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from bask_data.cli import app
+from bask_data.cli.app import app
 from bask_data.kinds import Correspondences, ObjectInstances, Reconstruction, VisibleMasks
 from tests.scenes import Box, Plane, Scene, intrinsics, look_at, noisy, orbit
 

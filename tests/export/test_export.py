@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
 from bask_data.artifact import Artifact, digest_of, list_files, seal
-from bask_data.cli import app
+from bask_data.cli.app import app
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, BaskError, MissingDependency, UsageError, WouldOverwrite
 from bask_data.export import Choice, FormatName, export

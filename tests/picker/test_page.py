@@ -18,7 +18,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from bask_data.cli import app
+from bask_data.cli.app import app
 from bask_data.dataset import Dataset
 from bask_data.kinds import Recording, ReferenceKeypoints
 from bask_data.picker.desk import Desk

@@ -10,7 +10,7 @@ import yaml
 from typer.testing import CliRunner
 
 from bask_data.artifact import SCRATCH
-from bask_data.cli import app
+from bask_data.cli.app import app
 from bask_data.config import load_config
 from bask_data.dataset import Dataset, Variant
 from bask_data.errors import BadData, UsageError

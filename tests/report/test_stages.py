@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 from typer.testing import CliRunner
 
-from bask_data.cli import app
+from bask_data.cli.app import app
 from bask_data.dataset import Dataset
 from bask_data.kinds import Demonstration, Truth
 from bask_data.kinds.masks import CameraMasks

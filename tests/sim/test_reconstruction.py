@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from bask_data.cli import app
+from bask_data.cli.app import app
 from bask_data.kinds import Reconstruction
 from bask_data.sim.options import SimOptions
 from bask_data.stages.simulate import simulate

@@ -14,7 +14,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from bask_data.cli import app
+from bask_data.cli.app import app
 from bask_data.core.geometry import rotation_angle
 from bask_data.dataset import Dataset
 from bask_data.dvc import render
@@ -316,7 +316,7 @@ def test_kills_at_any_moment_lose_nothing_finished(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
     code = (
-        "import resource, sys; from bask_data.cli import app\n"
+        "import resource, sys; from bask_data.cli.app import app\n"
         "try: app(sys.argv[1:])\n"
         "except SystemExit: print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from bask_data.cli import app
+from bask_data.cli.app import app
 from bask_data.dataset import Dataset, Variant
 from bask_data.errors import BaskError, UsageError
 from bask_data.kinds import DescriptorNet

@@ -1,0 +1,130 @@
+"""Options that several commands share, and options made of the fields of a model."""
+
+from __future__ import annotations
+
+import inspect
+import types
+import typing
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+import typer
+
+from bask_data.cli.failures import reporting
+from bask_data.errors import UsageError
+from bask_data.params import Params, first_fault
+from bask_data.presets import PresetName
+
+Root = Annotated[Path, typer.Argument(help="The dataset's directory.", metavar="ROOT")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
+Only = Annotated[str, typer.Option(help="Only these scenes or demonstrations, separated by commas.", metavar="NAMES")]
+Jobs = Annotated[int, typer.Option(min=1, help="Items worked on at the same time, each in a process of its own.")]
+Cluster = Annotated[str, typer.Option(help="Dask scheduler to work on instead: tcp://host:8786.", metavar="ADDRESS")]
+Force = Annotated[bool, typer.Option("--force", help="Make it again even if it is up to date.")]
+ConfigFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--config",
+        help="YAML: a section per stage, or `stage@name` for one item. [default: ROOT/params.yaml]",
+        metavar="FILE",
+    ),
+]
+Preset = Annotated[
+    PresetName | None,
+    typer.Option(
+        "--preset",
+        help="How networks are trained: tabletop is the default, bask the paper's way, bask-code that of its code, "
+        "florence that of the Dense Object Nets before. Goes over the file.",
+    ),
+]
+Set = Annotated[
+    list[str],
+    typer.Option("--set", help="One parameter: stage.field=value. May be repeated.", metavar="STAGE.FIELD=VALUE"),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be made, and why, and make nothing.")]
+
+
+def parameter(
+    name: str, annotation: Any, default: Any, kind: Any = inspect.Parameter.KEYWORD_ONLY
+) -> inspect.Parameter:
+    """One parameter of a signature that is made rather than written."""
+    return inspect.Parameter(name, kind, annotation=annotation, default=default)
+
+
+def option_of(name: str, field: Any) -> inspect.Parameter:
+    """One field of a model as an option. Unset stays None, so that the configuration below it is seen."""
+    flag = "--" + name.replace("_", "-")
+    annotation = _plain_type(field.annotation)
+    default = field.get_default(call_default_factory=True)
+    shown = "" if default is None or default == "" or default is ... else _as_text(default)
+    flags = [f"{flag}/--no-{flag[2:]}"] if annotation is bool else [flag]
+    text = (field.description or "") + (f" [default: {shown}]" if shown else "")
+    option = typer.Option(*flags, help=text, show_default=False)
+    return parameter(name, Annotated[annotation | None, option], None)
+
+
+def _plain_type(annotation: Any) -> Any:
+    """The type of an option; what is no number, flag or choice is text, and checked by the model."""
+    if get_origin(annotation) is Literal:
+        return annotation
+    if get_origin(annotation) in (typing.Union, types.UnionType):
+        inner = [part for part in get_args(annotation) if part is not type(None)]
+        return _plain_type(inner[0]) if len(inner) == 1 else str
+    return annotation if annotation in (bool, int, float) else str
+
+
+def _as_text(value: Any) -> str:
+    if isinstance(value, tuple | list):
+        return ",".join(map(str, value))
+    return str(value)
+
+
+def given_options(model: type[Params], options: dict[str, Any]) -> dict[str, Any]:
+    """The options that were set, lists split at commas."""
+    given = {name: value for name, value in options.items() if name in model.model_fields and value is not None}
+    for name, value in given.items():
+        annotation = model.model_fields[name].annotation
+        if isinstance(value, str) and _is_sequence(annotation):
+            given[name] = [part.strip() for part in value.split(",") if part.strip()]
+    return given
+
+
+def _is_sequence(annotation: Any) -> bool:
+    if get_origin(annotation) in (tuple, list):
+        return True
+    return any(_is_sequence(part) for part in get_args(annotation))
+
+
+def add_command(
+    target: typer.Typer,
+    name: str,
+    help: str,
+    parameters: list[inspect.Parameter],
+    body: Callable[..., None],
+) -> None:
+    """Add a command whose signature is made here: Typer reads options off signatures only."""
+
+    def command(**arguments: Any) -> None:
+        reporting(body)(**arguments)
+
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    target.command(name, help=help)(command)
+
+
+def checked_options(model: type[Params], options: dict[str, Any], where: str) -> Params:
+    """The model with the options that were set; `UsageError` names the option that it refuses."""
+    from pydantic import ValidationError
+
+    try:
+        return model.model_validate(given_options(model, options))
+    except ValidationError as error:
+        field, expected, came = first_fault(error)
+        option = "--" + field.split(".")[0].replace("_", "-")
+        raise UsageError(where, option, expected=expected, got=came, fix=f"see `{where} --help`.") from error
+
+
+def names_of(text: str) -> list[str]:
+    """Names separated by commas."""
+    return [name.strip() for name in text.split(",") if name.strip()]

@@ -1,0 +1,67 @@
+"""Reference keypoints picked on a page in a browser: `reference --pick`."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Annotated, Any
+
+import typer
+
+from bask_data.cli.console import say, show_outcome, shown_progress
+from bask_data.cli.options import parameter
+from bask_data.dataset import Dataset
+from bask_data.errors import UsageError
+from bask_data.stage import Outcome
+
+
+def pick_options() -> list[inspect.Parameter]:
+    """Of `reference` alone: where its picks may come from besides the parameters."""
+    flag = typer.Option("--pick", help="Choose them on a page in a browser, which shows where each would be found.")
+    port = typer.Option(min=0, max=65535, help="With --pick: of the page. [default: any that is free]")
+    browser = typer.Option("--browser/--no-browser", help="With --pick: open the page, where there is a display.")
+    return [
+        parameter("pick", Annotated[bool, flag], False),
+        parameter("port", Annotated[int | None, port], None),
+        parameter("browser", Annotated[bool, browser], True),
+    ]
+
+
+def refuse_without_pick(options: dict[str, Any]) -> None:
+    """`UsageError` for an option that only --pick knows."""
+    if options.get("port") is not None:
+        raise UsageError("reference", "--port", expected="to come with --pick", got="it alone", fix="--pick --port N")
+
+
+def pick(dataset: Dataset, *, dry_run: bool, options: dict[str, Any], **picking: Any) -> list[Outcome]:
+    """What was saved on the page, when it is closed."""
+    from bask_data.picker import Picking, pick_keypoints
+
+    if dry_run:
+        raise UsageError("reference", "--dry-run", expected="no --pick beside it", got="both")
+
+    def opened(url: str) -> None:
+        say(f"open {url}  (Ctrl-C ends it; unsaved keypoints are kept)")
+        if options["browser"]:
+            _open_in_browser(url)
+
+    with shown_progress():
+        found = Picking(dataset, **picking)
+        try:
+            outcomes = pick_keypoints(found, say=say, opened=opened, port=options["port"] or 0)
+        except KeyboardInterrupt:
+            say("interrupted: nothing was saved; what was picked is kept, and the same command goes on with it.")
+            raise typer.Exit(130) from None
+    for outcome in outcomes:
+        show_outcome(outcome)
+    if not outcomes:
+        say("nothing was saved; the same command goes on with what was picked.")
+    return outcomes
+
+
+def _open_in_browser(url: str) -> None:
+    import webbrowser
+
+    from bask_data.view.windows import has_display
+
+    if has_display():
+        webbrowser.open(url)

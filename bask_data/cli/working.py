@@ -1,0 +1,119 @@
+"""What commands that make artifacts share: parameters, workers, and what is printed of the outcomes."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from bask_data.cli.console import say
+from bask_data.cli.options import names_of
+from bask_data.config import load_config
+from bask_data.dataset import Dataset
+from bask_data.errors import UsageError, imported
+from bask_data.pipeline import STAGES
+from bask_data.presets import PresetName
+from bask_data.stage import Config, Outcome
+
+AFTER_DRY_RUN = "the same without --dry-run"
+
+
+@contextmanager
+def executor_of(jobs: int, cluster: str) -> Iterator[Executor | None]:
+    """Where items are worked on: here, in a pool of processes, or on a Dask cluster."""
+    if cluster:
+        with imported("distributed", "Dask", user="--cluster", extra="cluster").Client(cluster) as client:
+            yield client.get_executor()
+    elif jobs > 1:
+        from concurrent.futures import ProcessPoolExecutor
+        from multiprocessing import get_context
+
+        # Open3D and torch keep threads: a forked child would inherit their locks.
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            try:
+                yield pool
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+    else:
+        yield None
+
+
+def quoted(path: Path) -> str:
+    """A path as it can be pasted into a shell."""
+    return shlex.quote(str(path))
+
+
+def parameters_of(
+    root: Path, config: Path | None, assignments: Sequence[str], preset: PresetName | None = None
+) -> Config:
+    """Of `--config`, or else of the dataset's own params.yaml, with `--preset` and then `--set` over them."""
+    own = root / "params.yaml"
+    return load_config(config or (own if own.exists() else None), assignments, STAGES, preset)
+
+
+def finish(command: str, outcomes: Sequence[Outcome], as_json: bool, next_command: str = "", **more: Any) -> None:
+    """Print the sum and leave with the exit code of the first failure."""
+    if as_json:
+        rows = [
+            {
+                key: getattr(outcome, key)
+                for key in ("label", "kind", "item", "variant", "path", "status", "why", "seconds", "digest")
+            }
+            | {"metadata": attributes_of(outcome)}
+            for outcome in outcomes
+        ]
+        print(json.dumps({"command": command, "outcomes": rows, **more}, indent=2))
+    failed = [outcome for outcome in outcomes if outcome.status == "failed"]
+    blocked = [outcome for outcome in outcomes if outcome.status == "blocked"]
+    if failed:
+        say(f"{len(failed)} failed, {len(blocked)} blocked, {len(outcomes) - len(failed) - len(blocked)} fine.")
+        raise typer.Exit(failed[0].error.exit_code if failed[0].error else 1)
+    if blocked:
+        fix = "make it first, or `bask-data run`."
+        if any("has no scenes" in outcome.why for outcome in blocked):
+            fix = "bask-data ingest FORMAT SOURCE ROOT --scene NAME --as scan"
+        say(f"{len(blocked)} blocked: an input is missing.  fix: {fix}")
+        raise typer.Exit(UsageError.exit_code)
+    if next_command:
+        say(f"next: {next_command}")
+
+
+def attributes_of(outcome: Outcome) -> dict[str, Any]:
+    """What the artifact states of itself; empty where there is none."""
+    if outcome.status not in ("made", "up to date") or not outcome.path:
+        return {}
+    from bask_data.artifact import Artifact
+
+    return Artifact(outcome.path).attributes
+
+
+def show_findings(outcome: Outcome) -> None:
+    """What a stage wants a person to know."""
+    from bask_data.kinds import KINDS
+
+    if outcome.status == "made":
+        [kind] = [kind for kind in KINDS if kind.kind == outcome.kind]
+        for line in kind(outcome.path).summary():
+            say(f"              {line}")
+    for warning in attributes_of(outcome).get("warnings", []):
+        say(f"  note: {outcome.label}: {warning}")
+
+
+def chosen_recordings(dataset: Dataset, only: str) -> list[str]:
+    """Scenes and demonstrations by name, or all; there must be some."""
+    names, there = names_of(only), dataset.items("recording")
+    unknown = [name for name in names if name not in there]
+    if unknown:
+        known = ", ".join(there) or "no items yet"
+        raise UsageError(dataset.root, "--only", expected=f"one of {known}", got=", ".join(unknown))
+    if not there:
+        fix = "bask-data ingest --help"
+        raise UsageError(dataset.root, "", expected="a recording", got="none in the dataset", fix=fix)
+    return list(dict.fromkeys(names)) or there

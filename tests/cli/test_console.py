@@ -1,0 +1,26 @@
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from bask_data.cli.console import say, shown_progress
+from bask_data.progress import progress, tell
+
+
+def test_escape_sequences_from_strangers_never_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    say("a\x1b[31mb\x1b]0;title\x07c\x9b31m\nd")
+    assert capsys.readouterr().err == "ab]0;titlec31m\nd\n"
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_what_is_told_during_a_loop_is_seen_at_once(
+    is_terminal: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
+    with shown_progress():
+        for i in progress(range(3), "training"):
+            tell(f"step {i}: [loss] \x1b[31m0.5")
+            assert f"  ...         step {i}: [loss] 0.5\n" in capsys.readouterr().err
+    tell("nobody listens")
+    assert "nobody" not in capsys.readouterr().err
