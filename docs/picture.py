@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from bask_data.dataset import Dataset
+from bask_data.drawing.pictures import Mark, marks_picture, mask_picture, palette
 from bask_data.kinds import Demonstration, KeypointTrack, ReferenceKeypoints, Scan, VisibleMasks
-from bask_data.report.pictures import Mark, marks_picture, mask_picture, palette
 
 HERE = Path(__file__).parent
 WIDTH = 420

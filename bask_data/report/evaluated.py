@@ -77,7 +77,7 @@ def _rows(variants: Mapping[str, Any], group: str) -> list[Part]:
 
 
 def _curve_plot(variants: Mapping[str, Any], metric: str, colours: Mapping[str, str]) -> Part:
-    from bask_data.report.plots import Curve, line_plot
+    from bask_data.drawing.plots import Curve, line_plot
 
     title, x_label = CURVES[metric]
     curves, legend, end = [], [], 0.0
@@ -93,7 +93,7 @@ def _curve_plot(variants: Mapping[str, Any], metric: str, colours: Mapping[str, 
 
 def _split_plots(variants: Mapping[str, Any]) -> list[Part]:
     """Cumulative curves of the error, told apart: a plot for each network and what its matches are told apart by."""
-    from bask_data.report.plots import Curve, line_plot
+    from bask_data.drawing.plots import Curve, line_plot
 
     plots = []
     for split in SPLITS:
@@ -124,7 +124,7 @@ def _split_plots(variants: Mapping[str, Any]) -> list[Part]:
 
 
 def _reliability_plot(variants: Mapping[str, Any], colours: Mapping[str, str], radius: float) -> Part:
-    from bask_data.report.plots import Curve, line_plot
+    from bask_data.drawing.plots import Curve, line_plot
 
     curves, legend = [Curve(np.array([0.0, 1.0]), np.array([0.0, 1.0]), "", dashed=True)], []
     for name, told in variants.items():

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bask_data.dataset import Dataset
+from bask_data.drawing import pictures as draw
 from bask_data.kinds import Camera, Pick, Recording, ReferenceKeypoints
 from bask_data.report import figures
-from bask_data.report import pictures as draw
 from bask_data.report.figures import find, find_recording, spread_frames
 from bask_data.report.points import (
     BEHIND,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from bask_data.core.geometry import in_image, invert_rigid, project, transform
+from bask_data.drawing.pictures import Colour, Mark
 from bask_data.kinds import Camera
 from bask_data.report.figures import TrackScores
-from bask_data.report.pictures import Colour, Mark
 
 N_TRAIL = 15
 """Frames that a trail goes back."""

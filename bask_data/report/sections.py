@@ -16,6 +16,7 @@ import numpy as np
 from bask_data.artifact import Artifact
 from bask_data.core.geometry import scale_pixels
 from bask_data.dataset import Dataset
+from bask_data.drawing import pictures as draw
 from bask_data.kinds import (
     Correspondences,
     DescriptorNet,
@@ -29,7 +30,6 @@ from bask_data.kinds import (
     VisibleMasks,
 )
 from bask_data.report import figures
-from bask_data.report import pictures as draw
 from bask_data.report.figures import Measured, TrackScores, find, find_recording, find_truth, spread_frames
 from bask_data.report.marks import N_TRAIL, track_marks
 from bask_data.report.points import frame_of
@@ -320,7 +320,7 @@ def reconstruction(chosen: Chosen) -> list[Part]:
 
 def _frame_plots(reconstruction: Reconstruction) -> list[Part]:
     """How well the mesh explains each frame; those that stand out are red."""
-    from bask_data.report.plots import Curve, line_plot
+    from bask_data.drawing.plots import Curve, line_plot
 
     table = {name: reconstruction.frames[name].to_numpy() for name in reconstruction.frames.column_names}
     if not np.isfinite(table["residual_abs"]).any():
@@ -413,7 +413,7 @@ def objects(chosen: Chosen) -> list[Part]:
 
 
 def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: ObjectInstances | None) -> list[Part]:
-    from bask_data.report.mesh import MeshScene, Viewpoint, draw_path, orbit_views, up_direction
+    from bask_data.drawing.mesh import MeshScene, Viewpoint, draw_path, orbit_views, up_direction
 
     if not len(mesh.triangles):
         return []
@@ -555,7 +555,7 @@ def _tried_per_object(numbers: dict[str, Any], reasons: Sequence[str]) -> list[P
 
 def _change_plots(correspondences: Correspondences) -> list[Part]:
     """How different the two views of a pair are."""
-    from bask_data.report.plots import histogram
+    from bask_data.drawing.plots import histogram
 
     pairs = correspondences.pairs()
     if not pairs.num_rows:
@@ -667,7 +667,7 @@ def _family(name: str) -> str:
 
 
 def _curve(x: np.ndarray, y: np.ndarray, colour: str) -> Any:
-    from bask_data.report.plots import Curve
+    from bask_data.drawing.plots import Curve
 
     # A long curve is noise upon a trend: what is drawn are means of short stretches.
     stride = max(len(x) // 400, 1)
@@ -678,7 +678,7 @@ def _curve(x: np.ndarray, y: np.ndarray, colour: str) -> Any:
 
 
 def _training_plot(curves: list[Any], family: str, marked_step: int | None) -> str:
-    from bask_data.report.plots import line_plot
+    from bask_data.drawing.plots import line_plot
 
     share = family.startswith("share")
     return line_plot(
@@ -822,7 +822,7 @@ def _track_plots(scored: TrackScores, colours: list[draw.Colour]) -> list[Part]:
 
 
 def _over_time(values: np.ndarray, colours: list[draw.Colour], y_label: str) -> str:
-    from bask_data.report.plots import Curve, line_plot
+    from bask_data.drawing.plots import Curve, line_plot
 
     t = np.arange(len(values))
     curves = [
@@ -836,7 +836,7 @@ def _over_time(values: np.ndarray, colours: list[draw.Colour], y_label: str) -> 
 
 def _share_plot(scored: TrackScores) -> str:
     from bask_data.core.scores import object_shares
-    from bask_data.report.plots import Curve, line_plot
+    from bask_data.drawing.plots import Curve, line_plot
 
     per_frame = [object_shares(list(frame)) for frame in zip(*scored.landings.values(), strict=True)]
     t = np.arange(len(per_frame))

@@ -10,10 +10,10 @@ import numpy as np
 
 from bask_data.artifact import read_json
 from bask_data.dataset import Dataset
+from bask_data.drawing.pictures import Mark, marks_picture, palette
 from bask_data.errors import BadData
 from bask_data.evaluation.keypoint_study import FILE, is_current
 from bask_data.report.figures import find_recording
-from bask_data.report.pictures import Mark, marks_picture, palette
 from bask_data.report.sections import Chosen, Part
 
 COLOURS = ("#a0673a", "#7fb2e5", "#2f6db5", "#e08a1e", "#2f9e5b", "#8a5fb5")
@@ -315,7 +315,7 @@ def _study_part(found: Mapping[str, Any], name: str, colours: Mapping[str, str],
 
 
 def _study_plot(group: Mapping[str, Any], what: str, colours: Mapping[str, str]) -> Part:
-    from bask_data.report.plots import Curve, line_plot
+    from bask_data.drawing.plots import Curve, line_plot
 
     moments, curves, legend = np.array(group["moments"]), [], []
     for name, told in group["methods"].items():
@@ -334,7 +334,7 @@ def _study_plot(group: Mapping[str, Any], what: str, colours: Mapping[str, str])
 
 
 def _share_plot(group: Mapping[str, Any]) -> Part:
-    from bask_data.report.plots import Curve, line_plot
+    from bask_data.drawing.plots import Curve, line_plot
 
     moments, curves, legend = np.array(group["moments"]), [], []
     for colour, (phase, share) in zip(("", *COLOURS), group["share_of"].items(), strict=False):

@@ -6,10 +6,10 @@ import numpy as np
 
 from bask_data.core.geometry import scale_pixels
 from bask_data.dataset import Dataset
+from bask_data.drawing.pictures import Mark, heat_picture, marks_picture, palette
 from bask_data.kinds import Camera, Pick, Recording
 from bask_data.progress import progress
 from bask_data.report.figures import spread_frames
-from bask_data.report.pictures import Mark, heat_picture, marks_picture, palette
 from bask_data.report.points import (
     BEHIND,
     SEEN,

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 
 from bask_data.artifact import REMAKE, Artifact
+from bask_data.drawing.pictures import Colour, instance_colour
 from bask_data.errors import BadData, BaskError
 from bask_data.kinds.truth import ROBOT
-from bask_data.report.pictures import Colour, instance_colour
 from bask_data.view import Shown
 
 if TYPE_CHECKING:

@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 
 from bask_data.dataset import Dataset
+from bask_data.drawing.pictures import Colour, Mark, marks_picture, palette
 from bask_data.errors import BaskError, UsageError, WouldOverwrite
 from bask_data.formats.video import VideoWriter, import_av
 from bask_data.kinds import Camera, KeypointTrack
 from bask_data.progress import progress
 from bask_data.report.figures import TrackScores, find, find_recording
 from bask_data.report.marks import track_marks
-from bask_data.report.pictures import Colour, Mark, marks_picture, palette
 from bask_data.view.sheet import reading
 
 WIDTH = 480

@@ -12,12 +12,12 @@ from typer.testing import CliRunner
 
 from bask_data.cli.app import app
 from bask_data.dataset import Dataset
+from bask_data.drawing.pictures import mask_picture
+from bask_data.drawing.plots import histogram
 from bask_data.kinds import Demonstration, Truth
 from bask_data.kinds.masks import CameraMasks
 from bask_data.report import measure, summarise, write_report
 from bask_data.report.figures import view_changes
-from bask_data.report.pictures import mask_picture
-from bask_data.report.plots import histogram
 from tests.datasets import publish_artifact
 from tests.report.filled import HEIGHT, LABELS, WIDTH, filled_dataset, make_views, publish_frames, publish_scene
 from tests.report.test_report import Page

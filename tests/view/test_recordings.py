@@ -14,6 +14,7 @@ import pytest
 from bask_data import view
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
 from bask_data.dataset import Dataset
+from bask_data.drawing.pictures import heat_picture, palette
 from bask_data.errors import BadData, BaskError, UsageError, WouldOverwrite
 from bask_data.kinds import (
     Correspondences,
@@ -31,7 +32,6 @@ from bask_data.kinds import (
     VisibleMasks,
 )
 from bask_data.report.figures import find_recording
-from bask_data.report.pictures import heat_picture, palette
 from bask_data.report.points import Finder, TruePlaces
 from bask_data.view import Choice, Shown, save_recording
 from tests.datasets import publish_artifact, publish_recording

@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 from bask_data.cli.app import app
 from bask_data.dataset import Dataset
+from bask_data.drawing.pictures import palette
 from bask_data.errors import BaskError, UsageError, WouldOverwrite
 from bask_data.kinds import Demonstration, KeypointTrack
-from bask_data.report.pictures import palette
 from bask_data.view import video
 from bask_data.view.video import LINE, WIDTH, write_videos
 from tests.datasets import publish_artifact

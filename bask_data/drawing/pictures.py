@@ -1,4 +1,4 @@
-"""Pictures of a report: colour, depth, masks, matches, heat maps and keypoints, drawn and put in data URIs."""
+"""Pictures: colour, depth, masks, matches, heat maps and keypoints, drawn and put in data URIs."""
 
 from __future__ import annotations
 

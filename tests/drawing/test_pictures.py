@@ -6,10 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bask_data.report import pictures as draw
-from bask_data.report.figures import plain, spread_frames
-from bask_data.report.plots import Curve, line_plot
-from tests.scenes import intrinsics, look_at
+from bask_data.drawing import pictures as draw
 
 GREY = np.full((60, 80, 3), 90, np.uint8)
 
@@ -114,80 +111,3 @@ def test_matches_join_the_two_pixels():
     picture = draw.matches_picture(GREY, GREY, np.array([[40.0, 30.0]]), np.array([[40.0, 30.0]]), 166)
     assert (picture[30, 40:126] != 90).any(axis=1).all()
     assert (picture[50, :80] == 90).all()
-
-
-def test_curves_take_the_page_s_ink_and_name_nothing_outside():
-    x = np.arange(50.0)
-    svg = line_plot([Curve(x, 1 / (x + 1), "#d08020"), Curve(x, x, "")], x_label="frame", y_label="m", logarithmic=True)
-    assert svg.startswith("<svg")
-    assert svg.endswith("</svg>")
-    assert "currentColor" in svg
-    assert "http" not in svg
-    assert "mathdefault" not in svg
-
-
-def test_a_curve_of_nothing_is_still_a_plot():
-    assert "<svg" in line_plot([Curve(np.arange(3), np.full(3, np.nan), "")], x_label="", y_label="", logarithmic=True)
-    assert "<svg" in line_plot([], x_label="", y_label="")
-
-
-def test_frames_are_spread_from_first_to_last():
-    assert spread_frames(100, 3) == [0, 50, 99]
-    assert spread_frames(2, 8) == [0, 1]
-    assert spread_frames(0, 8) == []
-
-
-def test_plain_values_are_json():
-    assert plain({1: np.float32("nan"), "a": (np.int64(3), np.array([np.inf, 1.0]))}) == {
-        "1": None,
-        "a": [3, [None, 1.0]],
-    }
-
-
-def sphere(radius: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
-    import open3d as o3d
-
-    mesh = o3d.geometry.TriangleMesh.create_sphere(radius, 30)
-    return np.asarray(mesh.vertices, np.float32), np.asarray(mesh.triangles, np.int32)
-
-
-def test_a_mesh_is_drawn_in_its_colours_on_the_background():
-    from bask_data.report.mesh import BACKGROUND, MeshScene, Viewpoint
-
-    vertices, triangles = sphere()
-    view = Viewpoint(intrinsics(48, 64), look_at((0.4, 0.0, 0.0)), 48, 64)
-    red = np.tile(np.array([200, 0, 0], np.uint8), (len(vertices), 1))
-    picture = MeshScene(vertices, triangles).render(red, view)
-    assert picture[0, 0].tolist() == list(BACKGROUND)
-    assert picture[24, 32, 0] > 190
-    assert picture[24, 32, 1:].max() == 0
-    rim = picture[24, :, 0][(picture[24, :, 1] == 0)]
-    assert rim[0] < 150, "a surface seen from the side is darker"
-
-
-def test_backs_of_faces_are_looked_through():
-    from bask_data.report.mesh import BACKGROUND, MeshScene, Viewpoint
-
-    vertices, triangles = sphere()
-    inside_out = np.ascontiguousarray(triangles[:, ::-1])
-    colours = np.zeros((len(vertices), 3), np.uint8)
-    colours[vertices[:, 0] < 0] = (0, 200, 0)
-    view = Viewpoint(intrinsics(48, 64), look_at((0.4, 0.0, 0.0)), 48, 64)
-    picture = MeshScene(vertices, inside_out).render(colours, view, sharp=True)
-    assert picture[24, 32, 1] > 180, "the far wall is seen through the near one"
-    assert picture[0, 0].tolist() == list(BACKGROUND)
-
-
-def test_views_from_above_show_the_whole_mesh_and_the_cameras():
-    from bask_data.core.geometry import in_image, invert_rigid, project, transform
-    from bask_data.report.mesh import orbit_views
-
-    vertices, _ = sphere()
-    cameras = np.stack([look_at((0.4, y, 0.3)) for y in np.linspace(-0.2, 0.2, 5)])
-    with_cameras, without = orbit_views(vertices, cameras, np.array([0.0, 0, 1]), height=60, width=80)
-    for view, points in ((with_cameras, np.concatenate([vertices, cameras[:, :3, 3]])), (without, vertices)):
-        pixel, z = project(transform(invert_rigid(view.world_from_camera), points.astype(float)), view.K)
-        assert (z > 0).all()
-        assert in_image(pixel, 60, 80).all()
-        assert max(np.ptp(pixel[:, 0]) / 80, np.ptp(pixel[:, 1]) / 60) > 0.85, "fills the picture"
-        assert view.world_from_camera[2, 3] > 0.1, "from above"

@@ -1,0 +1,20 @@
+from __future__ import annotations
+
+import numpy as np
+
+from bask_data.drawing.plots import Curve, line_plot
+
+
+def test_curves_take_the_page_s_ink_and_name_nothing_outside():
+    x = np.arange(50.0)
+    svg = line_plot([Curve(x, 1 / (x + 1), "#d08020"), Curve(x, x, "")], x_label="frame", y_label="m", logarithmic=True)
+    assert svg.startswith("<svg")
+    assert svg.endswith("</svg>")
+    assert "currentColor" in svg
+    assert "http" not in svg
+    assert "mathdefault" not in svg
+
+
+def test_a_curve_of_nothing_is_still_a_plot():
+    assert "<svg" in line_plot([Curve(np.arange(3), np.full(3, np.nan), "")], x_label="", y_label="", logarithmic=True)
+    assert "<svg" in line_plot([], x_label="", y_label="")
