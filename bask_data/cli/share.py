@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -12,7 +12,17 @@ from bask_data.cli.console import say, shown_progress
 from bask_data.cli.failures import reporting
 from bask_data.cli.options import Json, Root, names_of
 from bask_data.dataset import Dataset
-from bask_data.export import FormatName
+from bask_data.export import FORMATS
+
+if TYPE_CHECKING:
+    FormatName = str
+else:
+    FormatName = Literal[tuple(format.name for format in FORMATS)]  # Typer reads the choices off the type.
+
+FORMATS_HELP = " ".join(f"{format.name}: {format.help}." for format in FORMATS)
+OUT_HELP = "".join(
+    ["Folder to write", *(f"; {one.name}: file, ending in {one.suffixes[0]}" for one in FORMATS if one.is_file), "."]
+)
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -20,12 +30,9 @@ app = typer.Typer(rich_markup_mode=None)
 @app.command("export")
 @reporting
 def export_(
-    format: Annotated[
-        FormatName,
-        typer.Argument(help="parquet: tables. lerobot: dataset v3. robomimic: HDF5. diffusion-policy: replay buffer."),
-    ],
+    format: Annotated[FormatName, typer.Argument(help=FORMATS_HELP)],
     root: Root,
-    out: Annotated[Path, typer.Argument(help="Folder to write; robomimic: file, ending in .hdf5.", metavar="OUT")],
+    out: Annotated[Path, typer.Argument(help=OUT_HELP, metavar="OUT")],
     variant: Annotated[str, typer.Option(help="Of the keypoints.", metavar="NAME")] = "main",
     noise: Annotated[
         float, typer.Option(help="Standard deviation of noise added to keypoints, metres; the paper's policies: 0.02.")
@@ -42,14 +49,14 @@ def export_(
     json_: Json = False,
 ) -> None:
     """Write demonstrations with their keypoints as the files that policies are learned from."""
-    from bask_data.export import Choice, export
+    from bask_data.export import ExportSettings, export
 
     dataset = Dataset(root)
-    choice = Choice(
+    settings = ExportSettings(
         variant, names_of(only), names_of(validation), names_of(test), noise=noise, seed=seed, videos=videos, task=task
     )
     with shown_progress():
-        done = export(dataset, out, format, choice, force=force)
+        done = export(dataset, out, format, settings, force=force)
     for note in done.notes:
         say(f"  note: {note}")
     counts = ", ".join(f"{len(names)} for {split}" for split, names in done.splits.items() if names)

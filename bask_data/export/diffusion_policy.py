@@ -3,10 +3,14 @@ other in `data`, and where each ends in `meta/episode_ends`."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bask_data.export.episodes import SPLITS, Column, Episodes
+from bask_data.artifact import read_json
+from bask_data.errors import BadData
+from bask_data.export.columns import Column
+from bask_data.export.episodes import SPLITS, Episodes
 from bask_data.export.images import blocks
 from bask_data.progress import progress
 
@@ -22,7 +26,6 @@ def write(out: Path, episodes: Episodes) -> list[str]:
     import numpy as np
     import zarr
 
-    episodes.require("action")
     root = zarr.open_group(str(out), mode="w", zarr_format=2)
     data, meta = root.create_group("data"), root.create_group("meta")
     root.attrs["bask"] = episodes.described("diffusion-policy")
@@ -45,6 +48,15 @@ def write(out: Path, episodes: Episodes) -> list[str]:
     of = np.array([SPLITS.index(entry.split) for entry in episodes.entries], dtype=np.int64)
     _whole(meta, "episode_split", of, f"Number of the episode's split among {', '.join(SPLITS)}.")
     return []
+
+
+def description(folder: Path) -> object:
+    """What the group's attributes say of its numbers: Zarr knows no files but its own."""
+    file = folder / ".zattrs"
+    with suppress(BadData):
+        said = read_json(file) if file.is_file() else None
+        return said.get("bask") if isinstance(said, dict) else None
+    return None
 
 
 _STATE = "What a policy observes: keypoints, their spread, gripper; as `values` names them."

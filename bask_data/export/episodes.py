@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 from bask_data import __version__
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, UsageError
+from bask_data.export.columns import CONVENTIONS, STATE, Column, checked, columns_of, robot_values
+from bask_data.export.settings import ExportSettings
 from bask_data.formats.files import listed
 from bask_data.kinds import Camera, Demonstration, KeypointTrack, ReferenceKeypoints
 
@@ -20,62 +22,8 @@ if TYPE_CHECKING:
 
 SPLITS = ("train", "validation", "test")
 
-CONVENTIONS = {
-    "units": "SI: metres, seconds, radians, unless a column says otherwise.",
-    "world": "Positions are in the world frame of the demonstration, the one its cameras and gripper are posed in.",
-    "keypoints": "Mean of the filter's belief after the frame; x, y, z of the first keypoint, then of the second. "
-    "Where a keypoint is not localised, its last place is kept (before the first, the first one).",
-    "spread": "Square root of the trace of the belief's covariance: how far, in the mean square, the keypoint may be "
-    "from its mean. Noise that was added is not in it.",
-    "gripper_rotation": "First and second column of the rotation in world_from_gripper: the gripper's x and y axes in "
-    "the world. The third is their cross product.",
-    "action": "As recorded, in the same frame as the observations it was chosen at.",
-    "frames": "Frames of all cameras, robot and keypoints belong together by number.",
-}
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What to export, and how.
-
-    Args:
-        variant: of the keypoints.
-        only: demonstrations by name; none means all.
-        validation, test: demonstrations to hold out; the others are for training.
-        noise: standard deviation of Gaussian noise on each coordinate of the keypoints, metres.
-        seed: of the noise, which depends on a demonstration's name and not on the others'.
-        videos: whether the cameras' images go along.
-        task: what is done, in words; without, what the demonstration's source says, or else the dataset's name.
-    """
-
-    variant: str = "main"
-    only: Sequence[str] = ()
-    validation: Sequence[str] = ()
-    test: Sequence[str] = ()
-    noise: float = 0.0
-    seed: int = 0
-    videos: bool = False
-    task: str = ""
-
-
-@dataclass(frozen=True)
-class Column:
-    """A quantity that every frame has.
-
-    Args:
-        values: names of its values in their order; none for a single number.
-    """
-
-    name: str
-    values: tuple[str, ...]
-    dtype: str
-    description: str
-    units: str = ""
-
-    @property
-    def width(self) -> int:
-        """How many numbers a frame has of it."""
-        return len(self.values) or 1
+SINGLE_FILE = "file"
+"""Name of an export that is a single file, until it has its own."""
 
 
 @dataclass(frozen=True)
@@ -116,24 +64,21 @@ class Episode:
         return np.concatenate([self.values[name].reshape(self.entry.n_frames, -1) for name in there], axis=1)
 
 
-STATE = ("keypoints", "spread", "gripper_position", "gripper_rotation", "gripper_width")
-
-
 class Episodes:
     """The chosen demonstrations, those for training first. What does not fit together is told before any is written."""
 
-    def __init__(self, dataset: Dataset, choice: Choice) -> None:
+    def __init__(self, dataset: Dataset, settings: ExportSettings) -> None:
         """Look at every demonstration.
 
         Raises:
             UsageError: a name is no demonstration, or is in two splits; there is none; the noise is negative.
             BadData: a demonstration has no keypoints, or not the columns that the others have.
         """
-        if not 0 <= choice.noise < float("inf"):
-            raise UsageError("export", "--noise", expected="0 metres or more", got=choice.noise)
-        self.dataset, self.choice = dataset, choice
+        if not 0 <= settings.noise < float("inf"):
+            raise UsageError("export", "--noise", expected="0 metres or more", got=settings.noise)
+        self.dataset, self.settings = dataset, settings
         self._held: dict[str, int] = {}
-        self.entries = [self._entry(name, split) for name, split in _divided(dataset, choice)]
+        self.entries = [self._entry(name, split) for name, split in _divided(dataset, settings)]
         first = self.entries[0].name
         self.columns = self._columns(first)
         self.cameras = self._sizes(first)
@@ -197,10 +142,10 @@ class Episodes:
             "format": format,
             "dataset": self.dataset.file.name,
             "licence": self.dataset.file.licence,
-            "variant": self.choice.variant,
+            "variant": self.settings.variant,
             "keypoints": self.track(self.entries[0].name).names,
-            "noise": self.choice.noise,
-            "seed": self.choice.seed,
+            "noise": self.settings.noise,
+            "seed": self.settings.seed,
             "conventions": CONVENTIONS,
             "columns": [vars(column) for column in self.columns],
             "cameras": {name: list(size) for name, size in self.cameras.items()},
@@ -218,9 +163,9 @@ class Episodes:
 
     def track(self, name: str) -> KeypointTrack:
         """The keypoints of a demonstration; `BadData` where there are none."""
-        path = self.dataset.path(KeypointTrack, name, self.choice.variant)
+        path = self.dataset.path(KeypointTrack, name, self.settings.variant)
         if not path.exists():
-            option = "" if self.choice.variant == "main" else f" --variant {self.choice.variant}"
+            option = "" if self.settings.variant == "main" else f" --variant {self.settings.variant}"
             fix = f"bask-data encode {self.dataset.root}{option} --only {name}"
             raise BadData(path, "", expected="keypoints of the demonstration", got="none", fix=fix)
         return KeypointTrack(path)
@@ -241,39 +186,15 @@ class Episodes:
                 )
         fps, n_gaps = _rate(demonstration.cameras[0])
         options = self.dataset.file.demonstrations[name].options
-        task = self.choice.task or str(options.get("task") or self.dataset.file.name)
+        task = self.settings.task or str(options.get("task") or self.dataset.file.name)
         return Entry(name, split, task, n_frames, fps, n_gaps, track.manifest.digest, track.metadata.filter)
 
     def _columns(self, name: str) -> list[Column]:
-        demonstration = self._demonstration(name)
-        group, names = demonstration.group, self.track(name).names
-        coordinates = tuple(f"{keypoint}.{axis}" for keypoint in names for axis in "xyz")
-        axes = tuple(f"gripper.{axis}_{of}" for axis in ("x_axis", "y_axis") for of in "xyz")
-        here, each = "Whether a camera more likely than not sees the keypoint in this frame.", tuple(names)
-        columns = [
-            Column("time", (), "float64", "Time of the frame, as recorded.", "second"),
-            Column("keypoints", coordinates, "float32", "Positions of the keypoints in the world.", "metre"),
-            Column("spread", tuple(f"{n}.spread" for n in names), "float32", CONVENTIONS["spread"], "metre"),
-            Column("observed", each, "bool", here),
-            Column("localised", each, "bool", "Whether the keypoint's position is of this frame, not of another."),
-        ]
-        if "robot/world_from_gripper" in group:
-            places = tuple(f"gripper.{axis}" for axis in "xyz")
-            columns += [
-                Column("gripper_position", places, "float32", "Origin of the gripper in the world.", "metre"),
-                Column("gripper_rotation", axes, "float32", CONVENTIONS["gripper_rotation"]),
-            ]
-        if "robot/gripper_width" in group:
-            columns.append(Column("gripper_width", ("gripper.width",), "float32", "Opening of the gripper.", "metre"))
-        if "robot/action" in group:
-            n_actions = group["robot/action"].shape[1]  # type: ignore[union-attr]
-            named = tuple(demonstration.metadata.action_names) or tuple(f"action_{i}" for i in range(n_actions))
-            columns.append(Column("action", named, "float32", "What was commanded; units as recorded."))
-        return columns
+        return columns_of(self._demonstration(name), self.track(name))
 
     def _sizes(self, name: str) -> dict[str, tuple[int, int]]:
         """(height, width) of each camera whose images are wanted."""
-        cameras = self._demonstration(name).cameras if self.choice.videos else []
+        cameras = self._demonstration(name).cameras if self.settings.videos else []
         return {camera.name: (camera.height, camera.width) for camera in cameras}
 
     def _check_alike(self, first: str, other: str) -> None:
@@ -297,7 +218,7 @@ class Episodes:
         """A keypoint's name stands for one point of an object: that of the reference both were tracked by."""
         here, there = self._reference(first), self._reference(other)
         if here and there and here != there:
-            option = "" if self.choice.variant == "main" else f" --variant {self.choice.variant}"
+            option = "" if self.settings.variant == "main" else f" --variant {self.settings.variant}"
             raise BadData(
                 self.track(other).path,
                 "reference",
@@ -324,7 +245,7 @@ class Episodes:
                 track.path, track.names[i], expected="a place in at least one frame", got="none in any", fix=fix
             )
         self._held[entry.name] = int((~localised).sum())
-        noise = _generator(self.choice.seed, entry.name).normal(0.0, self.choice.noise, track.mean.shape)
+        noise = _generator(self.settings.seed, entry.name).normal(0.0, self.settings.noise, track.mean.shape)
         seen = [track.observed(camera) for camera in track.camera_names]
         values = {
             "time": demonstration.cameras[0].time,
@@ -332,11 +253,11 @@ class Episodes:
             "spread": held(spread(track.covariance), localised),
             "observed": np.any(seen, axis=0) & localised,
             "localised": localised,
-            **_of_robot(demonstration),
+            **robot_values(demonstration),
         }
         cameras = {name: demonstration.camera(name) for name in self.cameras}
         return Episode(
-            entry, {c.name: _checked(values[c.name], c, entry, demonstration) for c in self.columns}, cameras
+            entry, {c.name: checked(values[c.name], c, demonstration, entry.n_frames) for c in self.columns}, cameras
         )
 
 
@@ -356,20 +277,20 @@ def held(values: np.ndarray, known: np.ndarray) -> np.ndarray:
 _ALIKE = "export those that are alike with --only."
 
 
-def _divided(dataset: Dataset, choice: Choice) -> list[tuple[str, str]]:
+def _divided(dataset: Dataset, settings: ExportSettings) -> list[tuple[str, str]]:
     """(demonstration, split), by split and then as the dataset lists them."""
     there = dataset.items("demonstration")
-    for option, names in (("--only", choice.only), ("--validation", choice.validation), ("--test", choice.test)):
+    for option, names in (("--only", settings.only), ("--validation", settings.validation), ("--test", settings.test)):
         if unknown := [name for name in names if name not in there]:
             known = ", ".join(there) or "no demonstrations yet"
             raise UsageError(dataset.root, option, expected=f"one of {known}", got=", ".join(unknown))
-    if both := [name for name in choice.validation if name in choice.test]:
+    if both := [name for name in settings.validation if name in settings.test]:
         raise UsageError("export", "--test", expected="others than --validation", got=", ".join(both))
-    chosen = [name for name in there if name in choice.only or not choice.only]
+    chosen = [name for name in there if name in settings.only or not settings.only]
     if not chosen:
         fix = "bask-data ingest --help"
         raise UsageError(dataset.root, "", expected="a demonstration", got="none in the dataset", fix=fix)
-    of = {**dict.fromkeys(choice.validation, "validation"), **dict.fromkeys(choice.test, "test")}
+    of = {**dict.fromkeys(settings.validation, "validation"), **dict.fromkeys(settings.test, "test")}
     return sorted(((name, of.get(name, "train")) for name in chosen), key=lambda pair: SPLITS.index(pair[1]))
 
 
@@ -391,35 +312,6 @@ def _generator(seed: int, name: str) -> np.random.Generator:
     import numpy as np
 
     return np.random.default_rng([seed, *hashlib.sha256(name.encode()).digest()])
-
-
-def _of_robot(demonstration: Demonstration) -> dict[str, np.ndarray]:
-    robot = demonstration.robot
-    values: dict[str, np.ndarray] = {}
-    if robot is None:
-        return values
-    if robot.world_from_gripper is not None:
-        grippers = robot.world_from_gripper
-        values["gripper_position"] = grippers[:, :3, 3]
-        values["gripper_rotation"] = grippers[:, :3, :2].swapaxes(1, 2)
-    if robot.gripper_width is not None:
-        values["gripper_width"] = robot.gripper_width[:, None]
-    if robot.action is not None:
-        values["action"] = robot.action
-    return values
-
-
-def _checked(values: np.ndarray, column: Column, entry: Entry, demonstration: Demonstration) -> np.ndarray:
-    """A column as it is written, every number of it finite and every frame there."""
-    import numpy as np
-
-    if len(values) != entry.n_frames:
-        expected = f"{entry.n_frames} frames, as the cameras have"
-        raise BadData(demonstration.path, column.name, expected=expected, got=len(values), fix="ingest it again.")
-    if not np.isfinite(values).all():
-        raise BadData(demonstration.path, column.name, expected="finite numbers", got="NaN or infinity")
-    shape = (entry.n_frames, column.width) if column.values else (entry.n_frames,)
-    return np.ascontiguousarray(values.reshape(shape), dtype=column.dtype)
 
 
 def _listed(sizes: dict[str, tuple[int, int]]) -> str:

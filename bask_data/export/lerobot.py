@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bask_data.errors import BadData
-from bask_data.export import write_description
-from bask_data.export.episodes import SPLITS, Column, Episode, Episodes
+from bask_data.export.columns import Column
+from bask_data.export.description import write_description
+from bask_data.export.episodes import SPLITS, Episode, Episodes
 from bask_data.export.images import frames
 from bask_data.export.parquet import arrow, arrow_type
 from bask_data.progress import progress

@@ -6,8 +6,9 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bask_data.export import write_description
-from bask_data.export.episodes import Column, Episodes
+from bask_data.export.columns import Column
+from bask_data.export.description import write_description
+from bask_data.export.episodes import Episodes
 from bask_data.export.images import frames
 from bask_data.progress import progress
 

@@ -7,13 +7,12 @@ there is no `next_obs`.
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from bask_data.errors import imported
-from bask_data.export import FILE
-from bask_data.export.episodes import Episode, Episodes
+from bask_data.export.episodes import SINGLE_FILE, Episode, Episodes
 from bask_data.export.images import blocks
 from bask_data.progress import progress
 
@@ -27,18 +26,13 @@ NO_ENVIRONMENT = 2
 """robomimic's number of a Gym environment; it knows none that is no environment, and makes it only for roll-outs."""
 
 
-def import_h5py() -> ModuleType:
-    """The module `h5py`; `MissingDependency` where it is not installed."""
-    return imported("h5py", "h5py", user="export", extra="export")
-
-
 def write(out: Path, episodes: Episodes) -> list[str]:
     """Write one file; what robomimic will not like about the actions."""
-    h5py = import_h5py()
-    episodes.require("action")
+    import h5py
+
     largest = 0.0
     # The earliest layout that holds all this: readers open it whatever their version.
-    with h5py.File(out / FILE, "w", libver="earliest") as file:
+    with h5py.File(out / SINGLE_FILE, "w", libver="earliest") as file:
         # Not an attribute: those take 64 kB, and a few hundred demonstrations are more.
         file["bask"] = json.dumps(episodes.described("robomimic"), ensure_ascii=False, allow_nan=False)
         data = file.create_group("data")
@@ -52,6 +46,16 @@ def write(out: Path, episodes: Episodes) -> list[str]:
             if names := [f"demo_{i}" for i in episodes.in_split(split)]:
                 file.create_dataset(f"mask/{mask}", data=_bytes(names))
     return [f"robomimic wants actions from -1 to 1; the largest is {largest:.3g}."] if largest > 1 else []
+
+
+def description(file: Path) -> object:
+    """The text that says what the numbers of an HDF5 file mean, if the file itself holds it and not by a link."""
+    h5py = imported("h5py", "h5py", user="export", extra="export")
+    # Whatever a damaged or a foreign file makes the library raise: it is not known to be ours.
+    with suppress(Exception), h5py.File(file, "r") as opened:
+        if isinstance(opened.get("bask", getlink=True), h5py.HardLink):
+            return json.loads(opened["bask"].asstr()[()])
+    return None
 
 
 def _write_episode(group: Any, episode: Episode, episodes: Episodes) -> None:

@@ -1,7 +1,15 @@
 """Readers of other people's recordings: units, frames and conventions are converted here and nowhere else.
 
-Only the options are imported up front. A reader, and with it NumPy and OpenCV, is imported when it is first used, so
-that `--help` stays fast.
+To add a format, touch two files:
+
+1. `formats/<name>.py`, new, with a model of its options, derived from `Params`, whose descriptions are the help of
+   `bask-data ingest <name>`, and with `read(source: Path, options) -> Recording`. It returns the recording in our units
+   and frames, states in `assumptions` what the files do not, and reads a frame only when it is asked for.
+2. `formats/__init__.py`: the import of the model, and a line in `FORMATS`.
+
+The command line imports the models, and a reader only when it is used: NumPy, OpenCV and what imports them must not be
+loaded by the imports of this file, so that `--help` stays fast. A small reader imports them inside its functions; one
+that declares the shapes of its arrays needs them at its top, and keeps its model in `formats/options.py`.
 """
 
 from __future__ import annotations

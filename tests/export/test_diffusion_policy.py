@@ -8,14 +8,14 @@ import zarr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bask_data.export import Choice, diffusion_policy, export
+from bask_data.export import ExportSettings, diffusion_policy, export
 from tests.export.encoded import ACTIONS, picture, state
 
 
 @pytest.fixture(scope="module")
 def folder(encoded, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("diffusion") / "out.zarr"
-    export(encoded[0], out, "diffusion-policy", Choice(videos=True, test=("b",)))
+    export(encoded[0], out, "diffusion-policy", ExportSettings(videos=True, test=("b",)))
     return out
 
 

@@ -7,7 +7,6 @@ import sys
 import weakref
 from collections.abc import Callable
 from pathlib import Path
-from typing import get_args
 
 import h5py
 import numpy as np
@@ -21,7 +20,7 @@ from bask_data.artifact import Artifact, digest_of, list_files, seal
 from bask_data.cli.app import app
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, BaskError, MissingDependency, UsageError, WouldOverwrite
-from bask_data.export import Choice, FormatName, export
+from bask_data.export import FORMATS, ExportSettings, export
 from bask_data.export.episodes import Episodes, held
 from bask_data.kinds import Camera, DescriptorNet, KeypointTrack, ReferenceKeypoints, Robot
 from bask_data.stage import key_parts, plan
@@ -30,7 +29,7 @@ from tests.datasets import publish_artifact
 from tests.export.encoded import KEYPOINTS, Demo, state
 
 NAMES = {"parquet": "out", "lerobot": "out", "robomimic": "out.hdf5", "diffusion-policy": "out.zarr"}
-FORMATS = pytest.mark.parametrize("format", get_args(FormatName))
+EACH_FORMAT = pytest.mark.parametrize("format", [format.name for format in FORMATS])
 
 
 def one(root: Path, demo: Demo) -> Dataset:
@@ -43,7 +42,7 @@ def one(root: Path, demo: Demo) -> Dataset:
 def keypoints(dataset: Dataset, **choice: object) -> dict[str, np.ndarray]:
     """Positions (t, k, 3) as exported."""
     found = {}
-    for episode in Episodes(dataset, Choice(**choice)):
+    for episode in Episodes(dataset, ExportSettings(**choice)):
         found[episode.entry.name] = episode.values["keypoints"].reshape(episode.entry.n_frames, -1, 3)
     return found
 
@@ -55,7 +54,7 @@ def bytes_below(path: Path) -> dict[str, bytes]:
 
 def test_what_a_policy_observes_is_keypoints_their_spread_and_the_gripper(encoded) -> None:
     dataset, demos = encoded
-    episodes = Episodes(dataset, Choice())
+    episodes = Episodes(dataset, ExportSettings())
     names = [name for column in episodes.state for name in column.values]
     assert names[:8] == [
         *("handle.x", "handle.y", "handle.z", "lid.x", "lid.y", "lid.z"),
@@ -69,7 +68,7 @@ def test_what_a_policy_observes_is_keypoints_their_spread_and_the_gripper(encode
 
 def test_third_axis_of_the_gripper_is_the_cross_product_of_the_two_that_are_written(encoded) -> None:
     dataset, demos = encoded
-    for episode in Episodes(dataset, Choice()):
+    for episode in Episodes(dataset, ExportSettings()):
         x_axis, y_axis = np.split(episode.values["gripper_rotation"], 2, axis=1)
         expected = demos[episode.entry.name].robot.world_from_gripper[:, :3, 2]
         np.testing.assert_allclose(np.cross(x_axis, y_axis), expected, atol=1e-6)
@@ -77,7 +76,7 @@ def test_third_axis_of_the_gripper_is_the_cross_product_of_the_two_that_are_writ
 
 def test_a_keypoint_is_observed_where_any_camera_observes_it(encoded) -> None:
     dataset, demos = encoded
-    for episode in Episodes(dataset, Choice()):
+    for episode in Episodes(dataset, ExportSettings()):
         demo = demos[episode.entry.name]
         np.testing.assert_array_equal(episode.values["observed"], demo.observed["wrist"] | demo.observed["overhead"])
 
@@ -88,7 +87,7 @@ def test_a_keypoint_that_is_lost_stays_where_it_was_and_is_marked(tmp_path: Path
     demo.mean[4, 1] = np.nan
     demo.covariance[4, 1] = np.nan
     dataset = one(tmp_path / "d", demo)
-    episodes = Episodes(dataset, Choice())
+    episodes = Episodes(dataset, ExportSettings())
     [episode] = episodes
     positions = episode.values["keypoints"].reshape(6, 2, 3)
     np.testing.assert_array_equal(positions[:2, 0], demo.mean[[2, 2], 0])
@@ -128,7 +127,7 @@ def test_noise_is_as_large_as_asked_the_same_for_a_seed_and_each_demonstrations_
 
 def test_demonstrations_for_training_come_first_whatever_their_order(encoded) -> None:
     dataset, _ = encoded
-    episodes = Episodes(dataset, Choice(validation=("a",), test=("b",)))
+    episodes = Episodes(dataset, ExportSettings(validation=("a",), test=("b",)))
     assert [(entry.name, entry.split) for entry in episodes.entries] == [
         *(("c", "train"), ("a", "validation"), ("b", "test"))
     ]
@@ -136,24 +135,28 @@ def test_demonstrations_for_training_come_first_whatever_their_order(encoded) ->
 
 def test_the_task_is_what_the_source_says_or_what_is_given_or_the_datasets_name(encoded, tmp_path: Path) -> None:
     dataset, _ = encoded
-    assert [entry.task for entry in Episodes(dataset, Choice()).entries] == ["put the lid on", "stir", "put the lid on"]
-    assert {entry.task for entry in Episodes(dataset, Choice(task="cook")).entries} == {"cook"}
-    assert Episodes(one(tmp_path / "garden", Demo()), Choice()).entries[0].task == "garden"
+    assert [entry.task for entry in Episodes(dataset, ExportSettings()).entries] == [
+        "put the lid on",
+        "stir",
+        "put the lid on",
+    ]
+    assert {entry.task for entry in Episodes(dataset, ExportSettings(task="cook")).entries} == {"cook"}
+    assert Episodes(one(tmp_path / "garden", Demo()), ExportSettings()).entries[0].task == "garden"
 
 
-@FORMATS
-def test_the_same_demonstrations_give_the_same_bytes(encoded, tmp_path: Path, format: FormatName) -> None:
-    choice = Choice(videos=True, noise=0.02, validation=("b",))
+@EACH_FORMAT
+def test_the_same_demonstrations_give_the_same_bytes(encoded, tmp_path: Path, format: str) -> None:
+    choice = ExportSettings(videos=True, noise=0.02, validation=("b",))
     outs = [tmp_path / str(i) / NAMES[format] for i in range(2)]
     for out in outs:
         export(encoded[0], out, format, choice)
     assert bytes_below(outs[0]) == bytes_below(outs[1])
 
 
-@FORMATS
-def test_every_format_says_what_its_numbers_mean(encoded, tmp_path: Path, format: FormatName) -> None:
+@EACH_FORMAT
+def test_every_format_says_what_its_numbers_mean(encoded, tmp_path: Path, format: str) -> None:
     out = tmp_path / NAMES[format]
-    export(encoded[0], out, format, Choice(noise=0.02, seed=7, test=("c",)))
+    export(encoded[0], out, format, ExportSettings(noise=0.02, seed=7, test=("c",)))
     if format == "robomimic":
         with h5py.File(out) as file:
             said = json.loads(file["bask"].asstr()[()])
@@ -171,26 +174,26 @@ def test_every_format_says_what_its_numbers_mean(encoded, tmp_path: Path, format
     assert "world" in said["conventions"]
 
 
-@FORMATS
-def test_what_is_there_is_kept_unless_replacing_it_is_asked_for(encoded, tmp_path: Path, format: FormatName) -> None:
+@EACH_FORMAT
+def test_what_is_there_is_kept_unless_replacing_it_is_asked_for(encoded, tmp_path: Path, format: str) -> None:
     dataset, out = encoded[0], tmp_path / NAMES[format]
-    export(dataset, out, format, Choice())
+    export(dataset, out, format, ExportSettings())
     before = bytes_below(out)
     with pytest.raises(WouldOverwrite, match=r"expected nothing, got something.  fix: --force replaces an export\."):
-        export(dataset, out, format, Choice(only=("a",)))
+        export(dataset, out, format, ExportSettings(only=("a",)))
     assert bytes_below(out) == before
-    export(dataset, out, format, Choice(only=("a",)), force=True)
+    export(dataset, out, format, ExportSettings(only=("a",)), force=True)
     assert bytes_below(out) != before
     assert [file.name for file in tmp_path.iterdir()] == [NAMES[format]]
 
 
-@FORMATS
-def test_nothing_but_an_export_is_replaced(encoded, tmp_path: Path, format: FormatName) -> None:
+@EACH_FORMAT
+def test_nothing_but_an_export_is_replaced(encoded, tmp_path: Path, format: str) -> None:
     out = tmp_path / NAMES[format]
     out.mkdir()
     (out / "letters.txt").write_text("dear")
     with pytest.raises(WouldOverwrite, match=r"--force: expected .*, got something else.  fix: choose another OUT\."):
-        export(encoded[0], out, format, Choice(), force=True)
+        export(encoded[0], out, format, ExportSettings(), force=True)
     assert (out / "letters.txt").read_text() == "dear"
 
 
@@ -217,17 +220,17 @@ def test_no_file_but_an_exported_one_is_replaced(encoded, tmp_path: Path, write:
     write(out)
     before = out.read_bytes()
     with pytest.raises(WouldOverwrite, match="--force: expected a robomimic file of bask-data, got something else"):
-        export(encoded[0], out, "robomimic", Choice(), force=True)
+        export(encoded[0], out, "robomimic", ExportSettings(), force=True)
     assert out.read_bytes() == before
     assert cli("export", "robomimic", encoded[0].root, out, "--force").exit_code == 3
 
 
 def test_a_file_that_only_links_to_an_export_is_not_replaced(encoded, tmp_path: Path) -> None:
-    export(encoded[0], tmp_path / "ours.h5", "robomimic", Choice())
+    export(encoded[0], tmp_path / "ours.h5", "robomimic", ExportSettings())
     with h5py.File(tmp_path / "mine.h5", "w") as written:
         written["bask"] = h5py.ExternalLink("ours.h5", "bask")
     with pytest.raises(WouldOverwrite, match="got something else"):
-        export(encoded[0], tmp_path / "mine.h5", "robomimic", Choice(), force=True)
+        export(encoded[0], tmp_path / "mine.h5", "robomimic", ExportSettings(), force=True)
 
 
 @pytest.mark.parametrize("name", [".zattrs", "bask.json"])
@@ -237,7 +240,7 @@ def test_a_folder_that_says_something_else_is_not_replaced(encoded, tmp_path: Pa
     out.mkdir()
     (out / name).write_text(text)
     with pytest.raises(WouldOverwrite, match="--force: expected an exported folder, got something else"):
-        export(encoded[0], out, "diffusion-policy", Choice(), force=True)
+        export(encoded[0], out, "diffusion-policy", ExportSettings(), force=True)
     assert (out / name).read_text() == text
 
 
@@ -247,18 +250,18 @@ def test_a_place_within_the_dataset_or_around_it_is_refused(encoded, tmp_path: P
     before = [name for name, _ in list_files(root)]
     for out in (root, root / "keypoints" / "out", root.parent, tmp_path / "way" / "out", root / ".." / root.name / "x"):
         with pytest.raises(UsageError, match="OUT: expected a place outside of the dataset, got one that shares"):
-            export(encoded[0], out, "parquet", Choice(), force=True)
+            export(encoded[0], out, "parquet", ExportSettings(), force=True)
     assert cli("export", "parquet", root, root / "out").exit_code == 2
     assert [name for name, _ in list_files(root)] == before
-    export(encoded[0], root.with_name(f"{root.name}-out"), "parquet", Choice(only=("b",)))
+    export(encoded[0], root.with_name(f"{root.name}-out"), "parquet", ExportSettings(only=("b",)))
 
 
-@FORMATS
+@EACH_FORMAT
 def test_an_export_that_breaks_off_leaves_what_was_there(
-    encoded, tmp_path: Path, format: FormatName, monkeypatch: pytest.MonkeyPatch
+    encoded, tmp_path: Path, format: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / NAMES[format]
-    export(encoded[0], out, format, Choice(only=("a",)))
+    export(encoded[0], out, format, ExportSettings(only=("a",)))
     before = bytes_below(out)
 
     def read(self: Episodes, entry: object) -> None:
@@ -266,7 +269,7 @@ def test_an_export_that_breaks_off_leaves_what_was_there(
 
     monkeypatch.setattr(Episodes, "_read", read)
     with pytest.raises(KeyboardInterrupt):
-        export(encoded[0], out, format, Choice(), force=True)
+        export(encoded[0], out, format, ExportSettings(), force=True)
     assert bytes_below(out) == before
     assert [file.name for file in tmp_path.iterdir()] == [NAMES[format]]
 
@@ -277,13 +280,13 @@ def test_a_full_disk_is_told(encoded, tmp_path: Path, monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(pq, "write_table", refuse)
     with pytest.raises(BaskError, match="expected a place that takes all, got .*No space left on device"):
-        export(encoded[0], tmp_path / "out", "parquet", Choice())
+        export(encoded[0], tmp_path / "out", "parquet", ExportSettings())
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_robomimic_file_has_the_name_of_one(encoded, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"OUT: expected a name that ends in .hdf5 or .h5, got out\.zip"):
-        export(encoded[0], tmp_path / "out.zip", "robomimic", Choice())
+        export(encoded[0], tmp_path / "out.zip", "robomimic", ExportSettings())
 
 
 def test_without_h5py_the_line_that_brings_it_is_named(
@@ -291,7 +294,7 @@ def test_without_h5py_the_line_that_brings_it_is_named(
 ) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(MissingDependency, match=r"expected h5py, got none.  fix: pip install 'bask-data\[export\]'"):
-        export(encoded[0], tmp_path / "out.hdf5", "robomimic", Choice())
+        export(encoded[0], tmp_path / "out.hdf5", "robomimic", ExportSettings())
 
 
 @pytest.mark.parametrize(
@@ -307,19 +310,19 @@ def test_without_h5py_the_line_that_brings_it_is_named(
 )
 def test_options_that_mean_nothing_are_refused(encoded, choice: dict[str, object], complaint: str) -> None:
     with pytest.raises(UsageError, match=complaint):
-        Episodes(encoded[0], Choice(**choice))
+        Episodes(encoded[0], ExportSettings(**choice))
 
 
 def test_a_dataset_without_demonstrations_has_nothing_to_export(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="expected a demonstration, got none in the dataset"):
-        Episodes(Dataset.create(tmp_path / "d"), Choice())
+        Episodes(Dataset.create(tmp_path / "d"), ExportSettings())
 
 
 def test_a_demonstration_that_is_not_encoded_names_the_command_that_does_it(encoded) -> None:
     with pytest.raises(
         BadData, match=r"expected keypoints of the demonstration, got none.  fix: bask-data encode .* -"
     ):
-        Episodes(encoded[0], Choice(variant="sharp"))
+        Episodes(encoded[0], ExportSettings(variant="sharp"))
 
 
 def test_a_track_of_other_frames_is_refused(tmp_path: Path) -> None:
@@ -327,59 +330,59 @@ def test_a_track_of_other_frames_is_refused(tmp_path: Path) -> None:
     dataset = one(tmp_path / "d", demo)
     Demo(0, 5).publish_track(dataset, "a")
     with pytest.raises(BadData, match="mean: expected 6 frames, as camera wrist has, got 5"):
-        Episodes(dataset, Choice())
+        Episodes(dataset, ExportSettings())
 
 
 def test_a_track_that_has_lost_a_file_is_refused(tmp_path: Path) -> None:
     dataset = one(tmp_path / "d", Demo())
     next(path for path in dataset.path(KeypointTrack, "a").glob("mean/c/**/*") if path.is_file()).unlink()
     with pytest.raises(BadData, match="expected the file, got none"):
-        Episodes(dataset, Choice())
+        Episodes(dataset, ExportSettings())
 
 
 def test_a_keypoint_that_is_never_localised_is_refused(tmp_path: Path) -> None:
     demo = Demo(0, 6)
     demo.mean[:, 1] = np.nan
     with pytest.raises(BadData, match="lid: expected a place in at least one frame, got none in any"):
-        list(Episodes(one(tmp_path / "d", demo), Choice()))
+        list(Episodes(one(tmp_path / "d", demo), ExportSettings()))
 
 
 def test_a_number_that_is_none_is_refused(tmp_path: Path) -> None:
     demo = Demo(0, 6)
     demo.robot.action[3, 2] = np.nan
     with pytest.raises(BadData, match="action: expected finite numbers, got NaN or infinity"):
-        list(Episodes(one(tmp_path / "d", demo), Choice()))
+        list(Episodes(one(tmp_path / "d", demo), ExportSettings()))
 
 
 def test_a_robot_of_other_frames_is_refused(tmp_path: Path) -> None:
     demo, short = Demo(0, 6), Demo(0, 5).robot
     demo.robot = Robot(short.world_from_gripper, short.gripper_width, short.action, short.action_names)
     with pytest.raises(BadData, match="gripper_position: expected 6 frames, as the cameras have, got 5"):
-        list(Episodes(one(tmp_path / "d", demo), Choice()))
+        list(Episodes(one(tmp_path / "d", demo), ExportSettings()))
 
 
 def test_times_that_do_not_grow_are_refused(tmp_path: Path) -> None:
     demo = Demo(0, 6)
     demo.time[3] = demo.time[2]
     with pytest.raises(BadData, match="time: expected each frame later than the one before, got times that are not"):
-        Episodes(one(tmp_path / "d", demo), Choice())
+        Episodes(one(tmp_path / "d", demo), ExportSettings())
 
 
 def test_one_frame_has_no_rate(tmp_path: Path) -> None:
     with pytest.raises(BadData, match="time: expected two frames or more, got 1"):
-        Episodes(one(tmp_path / "d", Demo(0, 1)), Choice())
+        Episodes(one(tmp_path / "d", Demo(0, 1)), ExportSettings())
 
 
 def test_a_pause_is_told(tmp_path: Path) -> None:
     demo = Demo(0, 8)
     demo.time[4:] += 2.0
-    done = export(one(tmp_path / "d", demo), tmp_path / "out", "parquet", Choice())
+    done = export(one(tmp_path / "d", demo), tmp_path / "out", "parquet", ExportSettings())
     [note] = done.notes
     assert note.startswith("a: 1 times between frames are longer than one and a half of the usual 0.1 s")
 
 
 def test_what_is_held_out_but_not_chosen_is_told(encoded, tmp_path: Path) -> None:
-    choice = Choice(only=("a", "b"), validation=("b", "c"), test=("a",))
+    choice = ExportSettings(only=("a", "b"), validation=("b", "c"), test=("a",))
     assert export(encoded[0], tmp_path / "out", "parquet", choice).notes == [
         "--validation c: left out, because --only does not name it."
     ]
@@ -391,14 +394,14 @@ def test_different_filters_are_told_and_named_with_each_demonstration(tmp_path: 
         demo = Demo(i)
         demo.filter = "discrete" if name == "b" else "particle"
         demo.publish(dataset, name)
-    done = export(dataset, tmp_path / "out", "parquet", Choice())
+    done = export(dataset, tmp_path / "out", "parquet", ExportSettings())
     assert done.notes == ["the keypoints are of different filters: particle: a, c; discrete: b."]
     said = json.loads((tmp_path / "out" / "bask.json").read_text())
     assert [one["filter"] for one in said["episodes"]] == ["particle", "discrete", "particle"]
     assert pq.read_table(tmp_path / "out" / "episodes.parquet")["filter"].to_pylist() == [
         *("particle", "discrete", "particle")
     ]
-    assert export(dataset, tmp_path / "alike", "parquet", Choice(only=("a", "c"))).notes == []
+    assert export(dataset, tmp_path / "alike", "parquet", ExportSettings(only=("a", "c"))).notes == []
 
 
 def put_input(dataset: Dataset, kind: type[Artifact], content: str) -> None:
@@ -438,7 +441,7 @@ def test_keypoints_that_are_not_up_to_date_are_told(tracked, tmp_path: Path) -> 
     dataset, demos = tracked
 
     def notes(out: str) -> list[str]:
-        return export(dataset, tmp_path / out, "parquet", Choice()).notes
+        return export(dataset, tmp_path / out, "parquet", ExportSettings()).notes
 
     assert notes("new") == []
     put_input(dataset, DescriptorNet, "second")
@@ -463,14 +466,14 @@ def test_keypoints_that_are_not_up_to_date_are_told(tracked, tmp_path: Path) -> 
 def test_keypoints_of_different_references_are_refused(tracked) -> None:
     dataset, demos = tracked
     put_input(dataset, ReferenceKeypoints, "second")
-    assert len(Episodes(dataset, Choice())) == 2
+    assert len(Episodes(dataset, ExportSettings())) == 2
     encode_as_now(dataset, "b", demos["b"])
     complaint = r"reference: expected [0-9a-f]{12}, as a was tracked by, got [0-9a-f]{12}\.  fix: bask-data encode"
     with pytest.raises(BadData, match=complaint):
-        Episodes(dataset, Choice())
-    assert len(Episodes(dataset, Choice(only=("b",)))) == 1
+        Episodes(dataset, ExportSettings())
+    assert len(Episodes(dataset, ExportSettings(only=("b",)))) == 1
     encode_as_now(dataset, "a", demos["a"])
-    assert len(Episodes(dataset, Choice())) == 2
+    assert len(Episodes(dataset, ExportSettings())) == 2
 
 
 def differing(root: Path, change: str) -> Dataset:
@@ -504,28 +507,26 @@ def differing(root: Path, change: str) -> Dataset:
 def test_demonstrations_that_do_not_fit_together_are_refused(tmp_path: Path, change: str, complaint: str) -> None:
     dataset = differing(tmp_path / "d", change)
     with pytest.raises(BadData, match=complaint):
-        Episodes(dataset, Choice(videos=True))
-    assert len(Episodes(dataset, Choice(only=("b",)))) == 1
+        Episodes(dataset, ExportSettings(videos=True))
+    assert len(Episodes(dataset, ExportSettings(only=("b",)))) == 1
 
 
 def test_a_robot_that_only_later_demonstrations_have_is_refused(tmp_path: Path) -> None:
     dataset = differing(tmp_path / "d", "no robot")
     with pytest.raises(BadData, match="gripper_position: expected none, as b has none, got some"):
-        Episodes(dataset, Choice(validation=("a",)))
+        Episodes(dataset, ExportSettings(validation=("a",)))
 
 
 @pytest.mark.parametrize("format", ["robomimic", "diffusion-policy"])
-def test_without_actions_there_is_no_policy_to_learn(tmp_path: Path, format: FormatName) -> None:
+def test_without_actions_there_is_no_policy_to_learn(tmp_path: Path, format: str) -> None:
     demo = Demo()
     demo.robot = None
     with pytest.raises(BadData, match="robot/action: expected a record of it, got none"):
-        export(one(tmp_path / "d", demo), tmp_path / NAMES[format], format, Choice())
+        export(one(tmp_path / "d", demo), tmp_path / NAMES[format], format, ExportSettings())
 
 
-@FORMATS
-def test_few_images_are_in_memory_at_a_time(
-    tmp_path: Path, format: FormatName, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@EACH_FORMAT
+def test_few_images_are_in_memory_at_a_time(tmp_path: Path, format: str, monkeypatch: pytest.MonkeyPatch) -> None:
     read, alive, most = Camera.rgb, [], 0
 
     def counted(self: Camera, i_frame: int) -> np.ndarray:
@@ -537,13 +538,13 @@ def test_few_images_are_in_memory_at_a_time(
 
     dataset = one(tmp_path / "d", Demo(0, 90))
     monkeypatch.setattr(Camera, "rgb", counted)
-    export(dataset, tmp_path / NAMES[format], format, Choice(videos=True))
+    export(dataset, tmp_path / NAMES[format], format, ExportSettings(videos=True))
     assert 1 <= most <= 34
 
 
 def test_one_demonstration_is_in_memory_at_a_time(encoded) -> None:
     alive: list[weakref.ref] = []
-    for episode in Episodes(encoded[0], Choice()):
+    for episode in Episodes(encoded[0], ExportSettings()):
         alive.append(weakref.ref(episode.values["keypoints"]))
         assert [one() is not None for one in alive] == [False] * (len(alive) - 1) + [True]
         del episode
@@ -553,14 +554,14 @@ def test_one_demonstration_is_in_memory_at_a_time(encoded) -> None:
 def test_what_a_killed_export_left_is_cleared_away(encoded, tmp_path: Path) -> None:
     left = tmp_path / ".scratch" / f"export~{socket.gethostname()}~999999999~0"
     left.mkdir(parents=True)
-    export(encoded[0], tmp_path / "out", "parquet", Choice())
+    export(encoded[0], tmp_path / "out", "parquet", ExportSettings())
     assert [file.name for file in tmp_path.iterdir()] == ["out"]
 
 
 def test_a_place_where_nothing_can_be_written_is_told(encoded, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(BaskError, match="expected a place that takes all, got .*exists"):
-        export(encoded[0], tmp_path / "file" / "out", "parquet", Choice())
+        export(encoded[0], tmp_path / "file" / "out", "parquet", ExportSettings())
 
 
 def cli(*arguments: object) -> Result:
@@ -588,4 +589,4 @@ def test_the_command_writes_tells_and_stops_at_what_is_there(encoded, tmp_path: 
 
 def test_the_command_knows_every_format() -> None:
     shown = cli("export", "--help").stdout
-    assert all(name in shown for name in get_args(FormatName))
+    assert all(name in shown for name in [format.name for format in FORMATS])

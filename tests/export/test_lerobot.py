@@ -12,7 +12,7 @@ import pytest
 
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
-from bask_data.export import Choice, export, lerobot
+from bask_data.export import ExportSettings, export, lerobot
 from bask_data.export.lerobot import QUANTILES, image_stats, merged_stats, vector_stats
 from tests.export.encoded import Demo, picture, state
 
@@ -23,7 +23,7 @@ KEY = "observation.images.wrist"
 @pytest.fixture(scope="module")
 def folder(encoded, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("lerobot") / "out"
-    export(encoded[0], out, "lerobot", Choice(videos=True, validation=("b",)))
+    export(encoded[0], out, "lerobot", ExportSettings(videos=True, validation=("b",)))
     return out
 
 
@@ -99,7 +99,7 @@ def test_files_that_have_grown_are_ended_with_their_episode(
     monkeypatch.setattr(lerobot, "DATA_BYTES", 1)
     monkeypatch.setattr(lerobot, "VIDEO_BYTES", 1)
     monkeypatch.setattr(lerobot, "FILES_PER_CHUNK", 2)
-    export(encoded[0], tmp_path / "out", "lerobot", Choice(videos=True))
+    export(encoded[0], tmp_path / "out", "lerobot", ExportSettings(videos=True))
     places = [(0, 0), (0, 1), (1, 0)]
     rows = episodes(tmp_path / "out")
     assert [(row["data/chunk_index"], row["data/file_index"]) for row in rows] == places
@@ -168,26 +168,26 @@ def with_rate(root: Path, **rates: float) -> Dataset:
 
 
 def test_a_rate_that_is_nearly_whole_is_meant_to_be(tmp_path: Path) -> None:
-    done = export(with_rate(tmp_path / "d", a=29.94, b=30.02), tmp_path / "out", "lerobot", Choice())
+    done = export(with_rate(tmp_path / "d", a=29.94, b=30.02), tmp_path / "out", "lerobot", ExportSettings())
     assert (meta(tmp_path / "out")["fps"], done.notes) == (30, [])
 
 
 def test_a_rate_that_is_not_whole_is_kept_and_told(tmp_path: Path) -> None:
-    done = export(with_rate(tmp_path / "d", a=12.5), tmp_path / "out", "lerobot", Choice(videos=True))
+    done = export(with_rate(tmp_path / "d", a=12.5), tmp_path / "out", "lerobot", ExportSettings(videos=True))
     assert meta(tmp_path / "out")["fps"] == 12.5
     assert done.notes == ["12.500 frames per second is no whole number, as some of LeRobot's tools expect."]
 
 
 def test_demonstrations_of_different_rates_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BadData, match="time: expected about 10 frames per second, as a has, got 15"):
-        export(with_rate(tmp_path / "d", a=10, b=15), tmp_path / "out", "lerobot", Choice())
+        export(with_rate(tmp_path / "d", a=10, b=15), tmp_path / "out", "lerobot", ExportSettings())
 
 
 def test_without_videos_and_actions_there_are_none(tmp_path: Path) -> None:
     dataset, demo = Dataset.create(tmp_path / "d"), Demo()
     demo.robot = None
     demo.publish(dataset, "a")
-    export(dataset, tmp_path / "out", "lerobot", Choice())
+    export(dataset, tmp_path / "out", "lerobot", ExportSettings())
     info = meta(tmp_path / "out")
     assert info["video_path"] is None and info["features"]["observation.state"]["shape"] == [8]
     assert "action" not in info["features"] and not (tmp_path / "out" / "videos").exists()

@@ -9,14 +9,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from bask_data.export import Choice, export
+from bask_data.export import ExportSettings, export
 from tests.export.encoded import ACTIONS, picture
 
 
 @pytest.fixture(scope="module")
 def folder(encoded, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("parquet") / "out"
-    export(encoded[0], out, "parquet", Choice(videos=True, validation=("b",)))
+    export(encoded[0], out, "parquet", ExportSettings(videos=True, validation=("b",)))
     return out
 
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from bask_data.dataset import Dataset
-from bask_data.export import Choice, export
+from bask_data.export import ExportSettings, export
 from tests.export.encoded import ACTIONS, Demo, picture
 
 
 @pytest.fixture(scope="module")
 def file(encoded, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("robomimic") / "out.hdf5"
-    export(encoded[0], out, "robomimic", Choice(videos=True, validation=("a",), test=("b",)))
+    export(encoded[0], out, "robomimic", ExportSettings(videos=True, validation=("a",), test=("b",)))
     return out
 
 
@@ -76,6 +76,6 @@ def test_actions_that_robomimic_takes_for_too_large_are_told(tmp_path: Path) -> 
     dataset, demo = Dataset.create(tmp_path / "d"), Demo()
     demo.robot.action[2, 1] = -3.5
     demo.publish(dataset, "a")
-    assert export(dataset, tmp_path / "out.hdf5", "robomimic", Choice()).notes == [
+    assert export(dataset, tmp_path / "out.hdf5", "robomimic", ExportSettings()).notes == [
         "robomimic wants actions from -1 to 1; the largest is 3.5."
     ]
