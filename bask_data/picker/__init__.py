@@ -15,7 +15,7 @@ from bask_data.dataset import Dataset, Variant
 from bask_data.errors import BadData, BaskError, UsageError
 from bask_data.kinds import Demonstration, DescriptorNet, Pick, Recording, Scan, VisibleMasks
 from bask_data.picker.desk import Desk
-from bask_data.picker.draft import Draft, Mark
+from bask_data.picker.draft import Draft, KeypointMark
 from bask_data.picker.gallery import Gallery
 from bask_data.picker.server import serve
 from bask_data.stage import Outcome, Task, make
@@ -82,16 +82,16 @@ def _desk(picking: Picking, task: Task, file: Path, say: Callable[[str], None]) 
     assert isinstance(task.params, ReferenceParams)
     params = task.params
 
-    def propose(scene: str, n: int) -> list[Mark]:
+    def propose(scene: str, n: int) -> list[KeypointMark]:
         wanted = params.model_copy(update={"n": n, "instances": () if scene != params.scene else params.instances})
         masks = dataset.path(VisibleMasks, scene)
         if scene not in dataset.items("scene") or not masks.exists():
             expected, fix = "a scan whose objects are known", "choose another, or `bask-data run` first."
             raise UsageError("propose", "scene", expected=expected, got=scene, fix=fix)
         picks, _ = chosen(wanted, scene, Scan(dataset.path(Scan, scene)), VisibleMasks(masks), network)
-        return [Mark(**pick.model_dump(include=set(Mark.model_fields))) for pick in picks]
+        return [KeypointMark(**pick.model_dump(include=set(KeypointMark.model_fields))) for pick in picks]
 
-    def save(marks: Sequence[Mark]) -> tuple[str, str]:
+    def save(marks: Sequence[KeypointMark]) -> tuple[str, str]:
         picking.outcomes[:] = [_saved(picking, [as_text(Pick(**mark.model_dump())) for mark in marks])]
         draft.drop()
         return f"{len(marks)} keypoints saved as {task.target.relative_to(dataset.root)}", picking.following
@@ -138,12 +138,12 @@ def _first_scene(dataset: Dataset) -> str:
     raise UsageError("--auto", "", expected="a scan whose objects are known", got="none", fix="bask-data run first.")
 
 
-def _given(params: ReferenceParams, recordings: dict[str, Recording]) -> list[Mark]:
+def _given(params: ReferenceParams, recordings: dict[str, Recording]) -> list[KeypointMark]:
     """The picks of the parameters: where one goes on from."""
     if params.auto:
         return []
     picks = [parsed(text, f"point_{i}", recordings)[0] for i, text in enumerate(params.picks)]
-    return [Mark(**pick.model_dump(include=set(Mark.model_fields))) for pick in picks]
+    return [KeypointMark(**pick.model_dump(include=set(KeypointMark.model_fields))) for pick in picks]
 
 
 def _saved(picking: Picking, picks: list[str]) -> Outcome:

@@ -6,72 +6,22 @@ import json
 import struct
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal
-
-from pydantic import BaseModel, ConfigDict, Field
+from typing import TYPE_CHECKING, Any
 
 from bask_data.errors import UsageError
-from bask_data.picker.draft import Draft, Mark
+from bask_data.picker.draft import Draft, KeypointMark
 from bask_data.picker.gallery import FrameName, Gallery
+from bask_data.picker.requests import (
+    EditRequest,
+    EmptyRequest,
+    FrameRequest,
+    HeatRequest,
+    MatchesRequest,
+    ProposalRequest,
+)
 
 if TYPE_CHECKING:
     import torch
-
-MOST_FRAMES = 24
-"""Frames that one request may ask for."""
-
-
-class Request(BaseModel):
-    """What the page asks for; a field too many is an error."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class ForFrame(Request):
-    """Something of a frame."""
-
-    frame: FrameName
-
-
-class Place(Request):
-    """A pixel of a frame's image."""
-
-    frame: FrameName
-    u: float
-    v: float
-
-
-class ForHeat(Request):
-    """Where a pixel is found again."""
-
-    at: Place
-    frames: tuple[FrameName, ...] = Field(max_length=MOST_FRAMES)
-
-
-class ForMatches(Request):
-    """Where all keypoints are found."""
-
-    frames: tuple[FrameName, ...] = Field(max_length=MOST_FRAMES)
-
-
-class Edit(Request):
-    """One step of work on the draft."""
-
-    do: Literal["add", "move", "rename", "delete", "clear", "undo", "redo"]
-    name: str = Field("", max_length=200)
-    new_name: str = Field("", max_length=200)
-    at: Place | None = None
-
-
-class ForProposals(Request):
-    """Keypoints chosen automatically on the objects of a scan."""
-
-    scene: str = Field(max_length=100)
-    n: int = Field(16, ge=1, le=64)
-
-
-class Nothing(Request):
-    """No more than the wish."""
 
 
 class Desk:
@@ -88,17 +38,17 @@ class Desk:
         gallery: Gallery,
         draft: Draft,
         *,
-        propose: Callable[[str, int], list[Mark]],
-        save: Callable[[tuple[Mark, ...]], tuple[str, str]],
+        propose: Callable[[str, int], list[KeypointMark]],
+        save: Callable[[tuple[KeypointMark, ...]], tuple[str, str]],
         title: str,
     ) -> None:
         self.gallery, self.draft, self.title = gallery, draft, title
         self._propose, self._save = propose, save
-        self._saved: tuple[Mark, ...] | None = None
+        self._saved: tuple[KeypointMark, ...] | None = None
         self._editing = threading.Lock()
-        self._descriptors: dict[Mark, torch.Tensor] = {}
+        self._descriptors: dict[KeypointMark, torch.Tensor] = {}
 
-    def start(self, asked: Nothing) -> dict[str, Any]:
+    def start(self, request: EmptyRequest) -> dict[str, Any]:
         """What a page needs that has just been opened."""
         return {"title": self.title, "recordings": self.gallery.listed(), **self.state()}
 
@@ -112,46 +62,46 @@ class Desk:
             "is_saved": self._saved == draft.marks,
         }
 
-    def edit(self, asked: Edit) -> dict[str, Any]:
+    def edit(self, request: EditRequest) -> dict[str, Any]:
         """Work on the draft, one request at a time."""
         with self._editing:
-            if asked.do in ("add", "move"):
-                self._place(asked)
-            elif asked.do == "rename":
-                self.draft.rename(asked.name, asked.new_name)
-            elif asked.do == "delete":
-                self.draft.delete([asked.name])
-            elif asked.do == "clear":
+            if request.do in ("add", "move"):
+                self._place(request)
+            elif request.do == "rename":
+                self.draft.rename(request.name, request.new_name)
+            elif request.do == "delete":
+                self.draft.delete([request.name])
+            elif request.do == "clear":
                 self.draft.delete([mark.name for mark in self.draft.marks])
-            elif asked.do == "undo":
+            elif request.do == "undo":
                 self.draft.undo()
             else:
                 self.draft.redo()
             return self.state()
 
-    def _place(self, asked: Edit) -> None:
-        if asked.at is None:
+    def _place(self, request: EditRequest) -> None:
+        if request.at is None:
             raise UsageError("edit", "at", expected="a pixel", got="none")
-        frame, u, v = asked.at.frame, round(asked.at.u, 1), round(asked.at.v, 1)
+        frame, u, v = request.at.frame, round(request.at.u, 1), round(request.at.v, 1)
         self.gallery.check_pixel(frame, u, v)
-        if asked.do == "add":
-            self.draft.add([Mark(name=asked.name, **frame._asdict(), u=u, v=v)])
+        if request.do == "add":
+            self.draft.add([KeypointMark(name=request.name, **frame._asdict(), u=u, v=v)])
         else:
-            mark = self.draft.find(asked.name)
+            mark = self.draft.find(request.name)
             if frame_of(mark) != frame:
                 raise UsageError("edit", "at", expected="a pixel of the keypoint's own frame", got=str(frame))
-            self.draft.move(asked.name, u, v)
+            self.draft.move(request.name, u, v)
 
-    def describe(self, asked: ForFrame) -> dict[str, Any]:
+    def describe(self, request: FrameRequest) -> dict[str, Any]:
         """Make a frame ready to be searched."""
-        self.gallery.describe(asked.frame)
+        self.gallery.describe(request.frame)
         return {"described": True}
 
-    def picture(self, asked: ForFrame) -> bytes:
+    def picture(self, request: FrameRequest) -> bytes:
         """A frame as JPEG."""
-        return self.gallery.picture(asked.frame)
+        return self.gallery.picture(request.frame)
 
-    def heat(self, asked: ForHeat) -> bytes:
+    def heat(self, request: HeatRequest) -> bytes:
         """Heat maps of a pixel in those of the frames that are described already.
 
         Returns:
@@ -160,13 +110,13 @@ class Desk:
         """
         import numpy as np
 
-        at = asked.at
+        at = request.at
         descriptor = self.gallery.descriptor_at(at.frame, at.u, at.v)
-        # A frame may be asked for twice, as two views may show it.
-        ready = dict.fromkeys(frame for frame in asked.frames if self.gallery.is_described(frame))
+        # A frame may be request for twice, as two views may show it.
+        ready = dict.fromkeys(frame for frame in request.frames if self.gallery.is_described(frame))
         found = {frame: self.gallery.find(descriptor, frame) for frame in ready}
         scale = max((float(one.z.max()) for one in found.values()), default=0.0) or 1.0
-        places = self.gallery.same_place(at.frame, at.u, at.v, asked.frames)
+        places = self.gallery.same_place(at.frame, at.u, at.v, request.frames)
         # What most pixels are like is not what is looked for: it sets the colours' range. A few of them tell.
         few = [one.z.ravel()[:: max(one.z.size // 1000, 1)] for one in found.values()]
         middle = float(np.median(np.concatenate(few))) if few else scale
@@ -177,20 +127,20 @@ class Desk:
                 {"size": found[frame].z.shape, "best": found[frame].best, "z": found[frame].z_best, "place": place}
                 if frame in found
                 else None
-                for frame, place in zip(asked.frames, places, strict=True)
+                for frame, place in zip(request.frames, places, strict=True)
             ],
         }
         text = json.dumps(header).encode()
-        maps = [found[frame].z for frame in asked.frames if frame in found]
+        maps = [found[frame].z for frame in request.frames if frame in found]
         codes = [np.rint(255 * np.sqrt(z / scale)).astype(np.uint8).tobytes() for z in maps]
         return b"".join([struct.pack("<I", len(text)), text, *codes])
 
-    def matches(self, asked: ForMatches) -> dict[str, Any]:
+    def matches(self, request: MatchesRequest) -> dict[str, Any]:
         """Where each keypoint is found in those of the frames that are described already, and how far off."""
         marks = self.draft.marks
         self._descriptors = {mark: self._descriptor(mark) for mark in marks}
         found: list[list[list[float]] | None] = []
-        for frame in asked.frames:
+        for frame in request.frames:
             if self.gallery.is_described(frame):
                 best = [self.gallery.find(self._descriptors[mark], frame) for mark in marks]
                 found.append([[*one.best, one.z_best] for one in best])
@@ -198,18 +148,18 @@ class Desk:
                 found.append(None)
         return {"names": [mark.name for mark in marks], "frames": found}
 
-    def _descriptor(self, mark: Mark) -> torch.Tensor:
+    def _descriptor(self, mark: KeypointMark) -> torch.Tensor:
         known = self._descriptors.get(mark)
         return self.gallery.descriptor_at(frame_of(mark), mark.u, mark.v) if known is None else known
 
-    def propose(self, asked: ForProposals) -> dict[str, Any]:
+    def propose(self, request: ProposalRequest) -> dict[str, Any]:
         """Add keypoints chosen automatically, as one step."""
-        proposed = self._propose(asked.scene, asked.n)
+        proposed = self._propose(request.scene, request.n)
         with self._editing:
             self.draft.add(proposed)
             return self.state()
 
-    def save(self, asked: Nothing) -> dict[str, Any]:
+    def save(self, request: EmptyRequest) -> dict[str, Any]:
         """Make the artifact of the draft's keypoints."""
         with self._editing:
             marks = self.draft.marks
@@ -220,6 +170,6 @@ class Desk:
             return {"told": told, "next": following, **self.state()}
 
 
-def frame_of(mark: Mark) -> FrameName:
+def frame_of(mark: KeypointMark) -> FrameName:
     """The frame a keypoint was marked in."""
     return FrameName(mark.recording, mark.camera, mark.frame)

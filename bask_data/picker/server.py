@@ -12,8 +12,9 @@ from urllib.parse import parse_qs
 from pydantic import ValidationError
 
 from bask_data.errors import BaskError, UsageError, imported
-from bask_data.picker.desk import Desk, Request
+from bask_data.picker.desk import Desk
 from bask_data.picker.draft import fault_in_json
+from bask_data.picker.requests import Request
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
 
 LOOPBACK = "127.0.0.1"
 MOST_BYTES = 64 * 1024
-"""Of a request's body; the largest that the page sends is a few kilobytes."""
+"""Bytes of a request's body. The largest that the page sends, a search in seven frames, takes 0.6 kB, and 4 kB with the
+longest names. It keeps a hostile request from filling memory, so a quarter or ten times of it are as good."""
 
 HEADERS = {
     "Cache-Control": "no-store",
@@ -121,7 +123,7 @@ def _answering(answer: Callable[[Any], Any]) -> Callable[[HttpRequest], Awaitabl
     from starlette.concurrency import run_in_threadpool
     from starlette.responses import JSONResponse, Response
 
-    model: type[Request] = get_type_hints(answer)["asked"]
+    model: type[Request] = get_type_hints(answer)["request"]
 
     def refused(status: int, text: str) -> Response:
         return JSONResponse({"error": text}, status, HEADERS)
@@ -135,17 +137,17 @@ def _answering(answer: Callable[[Any], Any]) -> Callable[[HttpRequest], Awaitabl
             if len(body) > MOST_BYTES:
                 return refused(413, f"expected at most {MOST_BYTES} bytes")
         try:
-            asked = model.model_validate_json(bytes(body))
+            parsed = model.model_validate_json(bytes(body))
         except ValidationError as error:
             field, expected, came = fault_in_json(error)
             return refused(400, str(UsageError(field or "request", expected=expected, got=came)))
         try:
-            found = await run_in_threadpool(answer, asked)
+            answered = await run_in_threadpool(answer, parsed)
         except BaskError as error:
             return refused(400, str(error))
-        if isinstance(found, bytes):
-            return Response(found, media_type="application/octet-stream", headers=HEADERS)
-        return JSONResponse(found, headers=HEADERS)
+        if isinstance(answered, bytes):
+            return Response(answered, media_type="application/octet-stream", headers=HEADERS)
+        return JSONResponse(answered, headers=HEADERS)
 
     return endpoint
 

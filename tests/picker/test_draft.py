@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bask_data.errors import BadData, UsageError
-from bask_data.picker.draft import MOST_MARKS, Draft, Mark, checked_name
+from bask_data.picker.draft import MOST_MARKS, Draft, KeypointMark, checked_name
 
 
-def mark(name: str = "", u: float = 3.0) -> Mark:
-    return Mark(name=name, recording="a", camera="wrist", frame=1, u=u, v=4.0)
+def mark(name: str = "", u: float = 3.0) -> KeypointMark:
+    return KeypointMark(name=name, recording="a", camera="wrist", frame=1, u=u, v=4.0)
 
 
 def names(draft: Draft) -> list[str]:

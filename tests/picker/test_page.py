@@ -22,7 +22,7 @@ from bask_data.cli.app import app
 from bask_data.dataset import Dataset
 from bask_data.kinds import Recording, ReferenceKeypoints
 from bask_data.picker.desk import Desk
-from bask_data.picker.draft import Draft, Mark
+from bask_data.picker.draft import Draft, KeypointMark
 from bask_data.picker.gallery import Gallery
 from tests.nn import pairs
 from tests.picker.pickable import HEIGHT, N_VIEWS, WIDTH, pickable_dataset, recordings_of, untrained
@@ -73,7 +73,7 @@ def served_of(recordings: dict[str, Recording], tmp_path: Path, page) -> Iterato
         Gallery(recordings, untrained()),
         Draft(tmp_path / "picks.json"),
         propose=lambda scene, n: [
-            Mark(name=f"object_{i}", recording=scene, camera="wrist", frame=1, u=40 + i, v=50) for i in range(n)
+            KeypointMark(name=f"object_{i}", recording=scene, camera="wrist", frame=1, u=40 + i, v=50) for i in range(n)
         ],
         save=lambda marks: ("", ""),
         title="table",

@@ -16,7 +16,8 @@ from bask_data.dataset import Dataset, Variant
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import DescriptorNet, ReferenceKeypoints, VisibleMasks
 from bask_data.picker import Picking, pick_keypoints
-from bask_data.picker.desk import Desk, Edit, Nothing, Place
+from bask_data.picker.desk import Desk
+from bask_data.picker.requests import EditRequest, EmptyRequest, FramePixel
 from bask_data.pipeline import STAGES
 from bask_data.stage import plan, state_of
 from bask_data.stages.reference import reference
@@ -185,10 +186,10 @@ def test_parameters_are_as_they_were_if_the_artifact_cannot_be_made(dataset) -> 
 @pytest.mark.parametrize("is_saved", [True, False])
 def test_ctrl_c_ends_as_finish_does_once_something_was_saved(dataset, monkeypatch, is_saved: bool) -> None:
     def interrupted(desk: Desk, port: int, opened: object) -> None:
-        at = Place(frame=frame("a", 1), u=40.0, v=50.0)
-        desk.edit(Edit(do="add", at=at))
+        at = FramePixel(frame=frame("a", 1), u=40.0, v=50.0)
+        desk.edit(EditRequest(do="add", at=at))
         if is_saved:
-            desk.save(Nothing())
+            desk.save(EmptyRequest())
         raise KeyboardInterrupt  # What the server's signal becomes, where whoever started the tests does not ignore it.
 
     monkeypatch.setattr("bask_data.picker.serve", interrupted)

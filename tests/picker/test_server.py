@@ -13,7 +13,7 @@ import pytest
 
 from bask_data.errors import MissingDependency, UsageError
 from bask_data.picker.desk import Desk
-from bask_data.picker.draft import Draft, Mark
+from bask_data.picker.draft import Draft, KeypointMark
 from bask_data.picker.gallery import Gallery
 from bask_data.picker.server import MOST_BYTES, listen, serve
 from tests.picker.pickable import HEIGHT, WIDTH, frame, pickable_dataset, recordings_of, untrained
@@ -28,10 +28,10 @@ def recordings(tmp_path_factory):
     return recordings_of(pickable_dataset(tmp_path_factory.mktemp("server") / "d"))
 
 
-SAVED: list[tuple[Mark, ...]] = []
+SAVED: list[tuple[KeypointMark, ...]] = []
 
 
-def save(marks: tuple[Mark, ...]) -> tuple[str, str]:
+def save(marks: tuple[KeypointMark, ...]) -> tuple[str, str]:
     if marks[0].name == "broken":
         raise UsageError("reference", "picks", expected="better ones", got="these")
     SAVED.append(marks)
@@ -39,7 +39,7 @@ def save(marks: tuple[Mark, ...]) -> tuple[str, str]:
 
 
 def new_desk(recordings, folder: Path) -> Desk:
-    proposed = Mark(name="object_1_0", recording="a", camera="wrist", frame=0, u=5.0, v=6.0)
+    proposed = KeypointMark(name="object_1_0", recording="a", camera="wrist", frame=0, u=5.0, v=6.0)
     gallery, draft = Gallery(recordings, untrained()), Draft(folder / "picks.json")
     return Desk(gallery, draft, propose=lambda scene, n: [proposed] * n, save=save, title="table")
 
