@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -14,12 +16,24 @@ Hearer = Callable[[str], None]
 
 _listener: Listener | None = None
 _hearer: Hearer | None = None
+_thread = threading.local()
 
 
 def listen(listener: Listener | None, hearer: Hearer | None = None) -> None:
     """Send the progress of this process to `listener` and what it tells to `hearer`, or to nobody."""
     global _listener, _hearer
     _listener, _hearer = listener, hearer
+
+
+@contextmanager
+def listened_by(listener: Listener) -> Iterator[None]:
+    """Send the progress of this thread to `listener` as well; an exception it raises ends the loop that reports."""
+    before = getattr(_thread, "listeners", ())
+    _thread.listeners = (*before, listener)
+    try:
+        yield
+    finally:
+        _thread.listeners = before
 
 
 def tell(text: str) -> None:
@@ -32,6 +46,8 @@ def report(label: str, done: int, total: int | None) -> None:
     """Tell that `done` of `total` steps are done."""
     if _listener is not None:
         _listener(label, done, total)
+    for listener in getattr(_thread, "listeners", ()):
+        listener(label, done, total)
 
 
 def progress(items: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
@@ -42,3 +58,23 @@ def progress(items: Iterable[T], label: str, total: int | None = None) -> Iterat
     for done, item in enumerate(items, start=1):
         yield item
         report(label, done, total)
+
+
+class Steps:
+    """Progress of several loops that are one piece of work: each item of any of them is a step."""
+
+    def __init__(self, label: str, total: int) -> None:
+        """Report that none of `total` steps is done."""
+        self._label, self._done, self._total = label, 0, total
+        report(label, 0, total)
+
+    def over(self, items: Iterable[T]) -> Iterator[T]:
+        """The same items, each of which is a step when the next is asked for."""
+        for item in items:
+            yield item
+            self.reach(self._done + 1)
+
+    def reach(self, done: int) -> None:
+        """Report that `done` steps are done: also what was left out counts."""
+        self._done = min(done, self._total)
+        report(self._label, self._done, self._total)

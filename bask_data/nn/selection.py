@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -44,7 +44,7 @@ def inner_pixels(
 
 
 def found_again(
-    points_world: Float[ndarray, "n 3"], descriptors: Float[torch.Tensor, "n d"], views: Sequence[SelectionView]
+    points_world: Float[ndarray, "n 3"], descriptors: Float[torch.Tensor, "n d"], views: Iterable[SelectionView]
 ) -> tuple[Float[ndarray, "n"], Int[ndarray, "n"]]:
     """Share of the views showing a point in which its descriptor is best matched where it is, and their number.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from bask_data.kinds import (
     Scan,
     VisibleMasks,
 )
+from bask_data.progress import Steps
 from bask_data.stage import Params, progress, stage
 
 if TYPE_CHECKING:
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 
 N_VIEWS = 5
 """Frames of an object that candidates are taken from, and looked for in."""
+
+STEPS_OF_OBJECT = N_VIEWS + N_VIEWS + N_VIEWS * (N_VIEWS - 1)
+"""Steps of an object in the progress: views described, views that give candidates, and views they are looked for in."""
 
 N_CANDIDATES = 120
 """Candidates from each of these frames, at least."""
@@ -113,7 +117,7 @@ def _picked(
 
     picks: list[Pick] = []
     descriptors: list[np.ndarray] = []
-    for i, text in enumerate(texts):
+    for i, text in enumerate(progress(texts, "describing keypoints")):
         pick, camera = parsed(text, f"point_{i}", recordings)
         uv = np.array([[pick.u, pick.v]], dtype=np.float32)
         descriptors.append(network.descriptors_at(camera.rgb(pick.frame), uv)[0].cpu().numpy())
@@ -204,12 +208,15 @@ def chosen(
         expected, fix = f"objects of {scene}, 1..{masks.n_instances}", "`bask-data view` shows their numbers."
         raise UsageError("reference", "instances", expected=expected, got=str(unknown), fix=fix)
     picks, descriptors = [], []
-    for order, instance in enumerate(progress(instances, "choosing keypoints")):
+    # An object takes seconds to minutes: steps are smaller, so that whoever listens can end the work soon.
+    steps = Steps("choosing keypoints", STEPS_OF_OBJECT * len(instances))
+    for order, instance in enumerate(instances):
         # The first objects get one more where the number does not divide evenly.
         n = params.n // len(instances) + (order < params.n % len(instances))
         if n == 0:
             continue
-        found, rows = _of_instance(instance, n, scan, masks, network, params.seed)
+        steps.reach(STEPS_OF_OBJECT * order)
+        found, rows = _of_instance(instance, n, scan, masks, network, seed=params.seed, steps=steps)
         for i, row in enumerate(rows):
             camera, i_frame = found.frames[found.i_frame[row]]
             u, v = found.uv[row].tolist()
@@ -217,22 +224,25 @@ def chosen(
             where = {"recording": scene, "camera": camera.name, "frame": i_frame, "u": u, "v": v}
             picks.append(Pick(name=f"object_{instance}_{i}", instance=instance, point_world=(x, y, z), **where))
             descriptors.append(found.descriptors[row].cpu().numpy())
+    steps.reach(STEPS_OF_OBJECT * len(instances))
     return picks, np.stack(descriptors)
 
 
 def _of_instance(
-    instance: int, n: int, scan: Scan, masks: VisibleMasks, network: DescriptorNetwork, seed: int
+    instance: int, n: int, scan: Scan, masks: VisibleMasks, network: DescriptorNetwork, *, seed: int, steps: Steps
 ) -> tuple[_Candidates, np.ndarray]:
-    """Candidates on an object, and which n of them to take."""
+    """Candidates on an object, and which n of them to take; at most `STEPS_OF_OBJECT` steps."""
     import numpy as np
 
     from bask_data.nn.selection import found_again, spread_out
 
     frames = _best_frames(instance, scan, masks)
-    views = [_view(camera, i_frame, network) for camera, i_frame in frames]
+    views = [_view(camera, i_frame, network) for camera, i_frame in steps.over(frames)]
     for border in BORDERS:
         rng = np.random.default_rng((seed, instance))
-        candidates = _candidates(instance, frames, masks, network, border, max(N_CANDIDATES, 2 * n), rng)
+        # Another border is the exception, and not counted on.
+        taken_from = steps.over(frames) if border == BORDERS[0] else frames
+        candidates = _candidates(instance, taken_from, masks, network, border, max(N_CANDIDATES, 2 * n), rng)
         if len(candidates.uv) >= n:
             break
     else:
@@ -248,7 +258,8 @@ def _of_instance(
         mine = np.flatnonzero(candidates.i_frame == i_view)
         others = [view for i, view in enumerate(views) if i != i_view]
         if len(mine) and others:
-            share_found[mine], _ = found_again(candidates.points_world[mine], candidates.descriptors[mine], others)
+            searched = steps.over(others)
+            share_found[mine], _ = found_again(candidates.points_world[mine], candidates.descriptors[mine], searched)
     return candidates, spread_out(candidates.points_world, share_found, n)
 
 
@@ -272,7 +283,7 @@ def _best_frames(instance: int, scan: Scan, masks: VisibleMasks) -> list[tuple[C
 
 def _candidates(
     instance: int,
-    frames: list[tuple[Camera, int]],
+    frames: Iterable[tuple[Camera, int]],
     masks: VisibleMasks,
     network: DescriptorNetwork,
     border: float,
@@ -284,8 +295,9 @@ def _candidates(
 
     from bask_data.nn.selection import inner_pixels
 
-    i_frames, pixels, points, descriptors = [], [np.empty((0, 2))], [np.empty((0, 3))], []
+    seen, i_frames, pixels, points, descriptors = [], [], [np.empty((0, 2))], [np.empty((0, 3))], []
     for i, (camera, i_frame) in enumerate(frames):
+        seen.append((camera, i_frame))
         depth = camera.depth(i_frame)
         mask = masks.camera(camera.name).instance(i_frame) == instance
         uv = inner_pixels(mask, depth, border * camera.height, n, rng)
@@ -295,7 +307,7 @@ def _candidates(
         points.append(camera.points_world(i_frame, uv, depth[row, column]))
         descriptors.append(network.descriptors_at(camera.rgb(i_frame), uv.astype(np.float32)))
     joined = torch.cat(descriptors) if descriptors else torch.empty(0, network.settings.descriptor_dim)
-    return _Candidates(frames, np.array(i_frames, int), np.concatenate(pixels), np.concatenate(points), joined)
+    return _Candidates(seen, np.array(i_frames, int), np.concatenate(pixels), np.concatenate(points), joined)
 
 
 def _view(camera: Camera, i_frame: int, network: DescriptorNetwork) -> SelectionView:

@@ -13,6 +13,7 @@ from bask_data.core.geometry import invert_rigid, project, transform
 from bask_data.dataset import Dataset
 from bask_data.kinds import Demonstration, DescriptorNet, ReferenceKeypoints, Scan, VisibleMasks
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings
+from bask_data.progress import listened_by
 from bask_data.stage import make, plan, state_of
 from bask_data.stages.reference import as_text, parsed, reference
 from tests.datasets import publish_artifact
@@ -81,6 +82,20 @@ def test_the_same_seed_gives_the_same_bytes_and_another_other_points(dataset):
     first = made(dataset, n=4, seed=1)
     assert made(dataset, n=4, seed=1).digest == first.digest
     assert made(dataset, n=4, seed=2).digest != first.digest
+
+
+def test_progress_is_told_several_times_an_object_and_ends_where_it_said(dataset):
+    calls = []
+    with listened_by(lambda *call: calls.append(call)):
+        made(dataset, n=4)
+        made(dataset, picks=("a:wrist:1:40.5:50:corner", "b:wrist:0:10:20"))
+    chosen = [(done, total) for label, done, total in calls if label == "choosing keypoints"]
+    assert len(chosen) > 15 * 3
+    assert chosen == sorted(chosen)
+    assert chosen[-1][0] == chosen[-1][1] == chosen[0][1]
+    assert [call for call in calls if call[0] == "describing keypoints"] == [
+        ("describing keypoints", done, 2) for done in range(3)
+    ]
 
 
 def test_scene_and_instances_can_be_named(dataset):
