@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from bask_data.artifact import write_text_atomically
+from bask_data.engine import Config, Stage
 from bask_data.errors import BadData, UsageError
 from bask_data.presets import PresetName, preset
-from bask_data.stage import Config, Stage
 
 
 def load_config(

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from bask_data.dataset import DATASET, Dataset, Source
+from bask_data.engine import Config, Stage, Task, parameter_files, plan, resolve
 from bask_data.kinds import KINDS, Demonstration, Scan
-from bask_data.stage import Config, Stage, Task, parameter_files, plan, resolve
 
 _HEADER = "# Written by `bask-data dvc`; change params.yaml or dataset.json, then run it again.\n"
 _PARAMS_HEADER = "# Parameters of every stage. A section `stage@name` holds what differs for one item or variant.\n"

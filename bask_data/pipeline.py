@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bask_data.stage import Stage, in_order
+from bask_data.engine import Stage, in_order
 from bask_data.stages.correspondences import correspondences
 from bask_data.stages.encode import encode
 from bask_data.stages.masks import masks

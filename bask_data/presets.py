@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, Literal
 
-from bask_data.stage import Config, Stage
+from bask_data.engine import Config, Stage
 
 PresetName = Literal["tabletop", "bask", "bask-code", "florence"]
 

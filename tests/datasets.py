@@ -43,6 +43,25 @@ def publish_recording(
     return publish_artifact(dataset, kind, item, fill)
 
 
+def add_scan(
+    dataset: Dataset,
+    name: str,
+    n_frames: int = 2,
+    level: int = 0,
+    kind: type[Scan] | type[Demonstration] = Scan,
+) -> None:
+    """Enter a scan of a few grey pixels a frame, a metre away."""
+    publish_recording(
+        dataset,
+        name,
+        rgb=[np.full((4, 6, 3), level + i, dtype=np.uint8) for i in range(n_frames)],
+        depth=[np.full((4, 6), 1.0) for _ in range(n_frames)],
+        K=np.array([[5.0, 0, 2.5], [0, 5, 1.5], [0, 0, 1]]),
+        world_from_cameras=np.tile(np.eye(4), (n_frames, 1, 1)),
+        kind=kind,
+    )
+
+
 def publish_artifact(dataset: Dataset, kind: type[Artifact], item: str, fill, variant: str = "main") -> Path:
     """Publish what `fill(out)` writes as an artifact of the dataset, as if a stage had made it."""
     dataset.prepare(kind, variant)

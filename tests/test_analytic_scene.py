@@ -10,8 +10,8 @@ import pytest
 from bask_data.artifact import read_manifest
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
 from bask_data.dataset import Dataset
+from bask_data.engine import make, plan
 from bask_data.kinds import Correspondences, ObjectInstances, Reconstruction, VisibleMasks
-from bask_data.stage import make, plan
 from bask_data.stages.correspondences import correspondences
 from bask_data.stages.masks import masks
 from bask_data.stages.objects import objects

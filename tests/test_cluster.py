@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from bask_data.dataset import Dataset
-from bask_data.stage import plan, run
+from bask_data.engine import plan, run
 from tests.cli.test_commands import cli
-from tests.test_stage import add_scan
+from tests.datasets import add_scan
 from tests.toy_stages import fuse
 
 

@@ -6,8 +6,8 @@ import pytest
 import yaml
 
 from bask_data.config import load_config, section_written, write_section
+from bask_data.engine import resolve
 from bask_data.errors import BadData, UsageError
-from bask_data.stage import resolve
 from tests.toy_stages import fuse, pick
 
 STAGES = (fuse, pick)

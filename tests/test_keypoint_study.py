@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from bask_data.cli.app import app
 from bask_data.core.geometry import invert_rigid, project, transform
 from bask_data.dataset import Dataset, Splits
+from bask_data.engine import make, plan
 from bask_data.errors import BadData, UsageError
 from bask_data.evaluation import evaluated_keypoints
 from bask_data.evaluation.keypoint_study import FILE, is_current, methods_of, save_study
@@ -19,7 +20,6 @@ from bask_data.evaluation.tracked_points import ROUND, points_to_track, true_tra
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Scan, Truth
 from bask_data.kinds.truth import TruthMetadata
 from bask_data.report.study import method_colours, write_pictures
-from bask_data.stage import make, plan
 from bask_data.stages.encode import encode
 from tests.datasets import publish_artifact, publish_recording
 from tests.described import (

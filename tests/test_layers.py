@@ -42,7 +42,7 @@ def test_imports_go_downwards_only() -> None:
             "from bask_data.formats import files",
             "bask_data.nn is not allowed to import bask_data.formats",
         ),
-        ("errors.py", "from bask_data import stage", "bask_data.errors is not allowed to import bask_data.stage"),
+        ("errors.py", "from bask_data import engine", "bask_data.errors is not allowed to import bask_data.engine"),
         (
             "kinds/scan.py",
             "def f() -> None:\n    import bask_data.cli",

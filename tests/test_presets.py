@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from bask_data.config import load_config
+from bask_data.engine import resolve
 from bask_data.pipeline import STAGES
 from bask_data.presets import PRESETS, PresetName, preset
-from bask_data.stage import resolve
 from bask_data.stages.encode import encode
 from bask_data.stages.train import TrainParams, train
 

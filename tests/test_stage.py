@@ -7,35 +7,16 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-import numpy as np
 import pytest
 from filelock import FileLock
 
 from bask_data.artifact import read_manifest
 from bask_data.dataset import Dataset, Splits, Variant
+from bask_data.engine import Outcome, Stage, State, follow, foretold, in_order, is_follower, make, plan, run, state_of
 from bask_data.errors import UsageError
-from bask_data.kinds import Demonstration, DescriptorNet, Reconstruction, ReferenceKeypoints, Scan
-from bask_data.stage import Outcome, Stage, State, follow, foretold, in_order, is_follower, make, plan, run, state_of
-from tests.datasets import publish_recording
+from bask_data.kinds import DescriptorNet, Reconstruction, ReferenceKeypoints
+from tests.datasets import add_scan
 from tests.toy_stages import fuse, label, learn, pick
-
-
-def add_scan(
-    dataset: Dataset,
-    name: str,
-    n_frames: int = 2,
-    level: int = 0,
-    kind: type[Scan] | type[Demonstration] = Scan,
-) -> None:
-    publish_recording(
-        dataset,
-        name,
-        rgb=[np.full((4, 6, 3), level + i, dtype=np.uint8) for i in range(n_frames)],
-        depth=[np.full((4, 6), 1.0) for _ in range(n_frames)],
-        K=np.array([[5.0, 0, 2.5], [0, 5, 1.5], [0, 0, 1]]),
-        world_from_cameras=np.tile(np.eye(4), (n_frames, 1, 1)),
-        kind=kind,
-    )
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ import pytest
 
 from bask_data.artifact import MANIFEST, content_digest, file_digest, list_files
 from bask_data.dataset import Dataset
+from bask_data.engine import plan, run
 from bask_data.kinds import DescriptorNet, Reconstruction
-from bask_data.stage import plan, run
 from bask_data.validate import validate
-from tests.test_stage import add_scan
+from tests.datasets import add_scan
 from tests.toy_stages import fuse, learn, pick
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
+from bask_data.engine import Params, Splits, is_follower, stage
 from bask_data.errors import BadData
 from bask_data.kinds import DescriptorNet, InstanceRow, ObjectInstances, Pick, Reconstruction, ReferenceKeypoints, Scan
-from bask_data.stage import Params, Splits, is_follower, stage
 
 
 class FuseParams(Params):

@@ -11,9 +11,9 @@ import typer
 from bask_data import __version__
 from bask_data.cli import datasets, evaluate, ingest, pipeline, share, show, stages
 from bask_data.cli.failures import reporting
+from bask_data.engine import processes
 from bask_data.errors import UsageError
 from bask_data.pipeline import STAGES
-from bask_data.stage import processes
 
 app = typer.Typer(
     name="bask-data",

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from bask_data import progress
+from bask_data.engine import Outcome
 from bask_data.errors import BaskError
-from bask_data.stage import Outcome
 
 _SECONDS_BETWEEN_LINES = 10.0
 _ESCAPES = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|[\x00-\x08\x0b-\x1f\x7f-\x9f]")

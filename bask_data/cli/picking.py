@@ -10,8 +10,8 @@ import typer
 from bask_data.cli.console import say, show_outcome, shown_progress
 from bask_data.cli.options import parameter
 from bask_data.dataset import Dataset
+from bask_data.engine import Outcome
 from bask_data.errors import UsageError
-from bask_data.stage import Outcome
 
 
 def pick_options() -> list[inspect.Parameter]:

@@ -20,8 +20,8 @@ from bask_data.cli.working import (
     show_findings,
 )
 from bask_data.dataset import Dataset
+from bask_data.engine import Outcome, State, foretold, plan, run, state_told
 from bask_data.pipeline import STAGES
-from bask_data.stage import Outcome, State, foretold, plan, run, state_told
 
 app = typer.Typer(rich_markup_mode=None)
 

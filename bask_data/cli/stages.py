@@ -30,10 +30,10 @@ from bask_data.cli.options import (
 from bask_data.cli.picking import pick, pick_options, refuse_without_pick
 from bask_data.cli.working import AFTER_DRY_RUN, executor_of, finish, parameters_of, quoted, show_findings
 from bask_data.dataset import Dataset, Variant
+from bask_data.engine import Stage, follow, foretold, is_follower, plan, run
 from bask_data.errors import UsageError
 from bask_data.pipeline import STAGES
 from bask_data.presets import PRESETS
-from bask_data.stage import Stage, follow, foretold, is_follower, plan, run
 
 app = typer.Typer(rich_markup_mode=None)
 

@@ -16,10 +16,10 @@ from bask_data.cli.console import say
 from bask_data.cli.options import names_of
 from bask_data.config import load_config
 from bask_data.dataset import Dataset
+from bask_data.engine import Config, Outcome
 from bask_data.errors import UsageError, imported
 from bask_data.pipeline import STAGES
 from bask_data.presets import PresetName
-from bask_data.stage import Config, Outcome
 
 AFTER_DRY_RUN = "the same without --dry-run"
 

@@ -12,13 +12,13 @@ from filelock import FileLock, Timeout
 from bask_data.artifact import SCRATCH
 from bask_data.config import section_written
 from bask_data.dataset import Dataset, Variant
+from bask_data.engine import Outcome, Task, make
 from bask_data.errors import BadData, BaskError, UsageError
 from bask_data.kinds import Demonstration, DescriptorNet, Pick, Recording, Scan, VisibleMasks
 from bask_data.picker.desk import Desk
 from bask_data.picker.draft import Draft, KeypointMark
 from bask_data.picker.gallery import Gallery
 from bask_data.picker.server import serve
-from bask_data.stage import Outcome, Task, make
 from bask_data.stages.reference import ReferenceParams, as_text, chosen, parsed
 
 __all__ = ["Picking", "pick_keypoints"]

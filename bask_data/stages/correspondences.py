@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
+from bask_data.engine import Params, progress, stage
 from bask_data.errors import BadData
 from bask_data.kinds import Camera, Correspondences, ObjectInstances, PairRow, Reconstruction, Scan, VisibleMasks
 from bask_data.kinds.masks import CameraMasks
-from bask_data.stage import Params, progress, stage
 
 if TYPE_CHECKING:
     import numpy as np

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 
 from pydantic import Field, field_validator
 
+from bask_data.engine import Params, progress, stage
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Camera, Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Truth
 from bask_data.progress import tell
-from bask_data.stage import Params, progress, stage
 
 if TYPE_CHECKING:
     import numpy as np

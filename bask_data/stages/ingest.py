@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from bask_data.artifact import digest_of, file_digest
 from bask_data.dataset import DATASET, Dataset, Source, check_name
+from bask_data.engine import Outcome, progress
 from bask_data.errors import BadData
 from bask_data.formats import Format
 from bask_data.kinds import Demonstration, Recording, Robot, Scan, Truth
 from bask_data.params import Params
-from bask_data.stage import Outcome, progress
 from bask_data.stages.recordings import is_current, published, refuse_other_scope, scratches, undone_if_new, up_to_date
 
 if TYPE_CHECKING:

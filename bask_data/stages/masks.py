@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
+from bask_data.engine import Params, progress, stage
 from bask_data.errors import BadData
 from bask_data.kinds import Camera, ObjectInstances, Reconstruction, Scan, VisibleMasks
-from bask_data.stage import Params, progress, stage
 
 if TYPE_CHECKING:
     import numpy as np

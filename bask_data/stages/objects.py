@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field, field_validator
 
+from bask_data.engine import Params, stage
 from bask_data.errors import UsageError
 from bask_data.kinds import InstanceRow, ObjectInstances, Reconstruction, Scan
 from bask_data.kinds.objects import NeighbourRow, PlaneRow
-from bask_data.stage import Params, stage
 
 if TYPE_CHECKING:
     import numpy as np

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BeforeValidator, Field, field_validator
 
+from bask_data.engine import Params, progress, stage
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Camera, Reconstruction, Scan
 from bask_data.kinds.reconstruction import FrameRow, Quality, UnmeasuredRegion
-from bask_data.stage import Params, progress, stage
 
 if TYPE_CHECKING:
     import numpy as np

@@ -11,9 +11,9 @@ from typing import Any
 
 from bask_data.artifact import Artifact, new_scratch, publish, read_manifest, seal
 from bask_data.dataset import DATASET, Dataset
+from bask_data.engine import Outcome, record
 from bask_data.errors import UsageError, WouldOverwrite
 from bask_data.kinds import Recording, Scan, Truth
-from bask_data.stage import Outcome, record
 
 
 def refuse_other_scope(root: Path, makes: type[Recording], item: str, fix: str = "") -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
+from bask_data.engine import Params, progress, stage
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import (
     Camera,
@@ -21,7 +22,6 @@ from bask_data.kinds import (
     VisibleMasks,
 )
 from bask_data.progress import Steps
-from bask_data.stage import Params, progress, stage
 
 if TYPE_CHECKING:
     import numpy as np

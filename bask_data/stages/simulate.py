@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 from bask_data.artifact import digest_of
 from bask_data.dataset import Dataset, Source
+from bask_data.engine import Outcome, progress
 from bask_data.errors import UsageError
 from bask_data.kinds import Demonstration, Robot, Scan, Truth
 from bask_data.kinds.truth import TruthMetadata, TruthWriter
 from bask_data.sim.options import CAMERAS, TASKS, CameraName, SimOptions
-from bask_data.stage import Outcome, progress
 from bask_data.stages.recordings import is_current, published, refuse_other_scope, scratches, undone_if_new, up_to_date
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from bask_data.engine import Params, Splits, processes, progress, stage
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Correspondences, DescriptorNet, Scan, VisibleMasks
 from bask_data.progress import tell
-from bask_data.stage import Params, Splits, processes, progress, stage
 from bask_data.stages.pairs import ScanPairs, divided
 from bask_data.stages.runs import RunLog
 

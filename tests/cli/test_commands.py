@@ -14,8 +14,7 @@ from bask_data.cli.app import app
 from bask_data.dataset import Dataset
 from bask_data.kinds import Correspondences, Demonstration, Scan, VisibleMasks
 from bask_data.pipeline import STAGES
-from tests.datasets import publish_artifact
-from tests.test_stage import add_scan
+from tests.datasets import add_scan, publish_artifact
 
 SHELF = str(Path(__file__).parents[2] / "datasets" / "apc_shelf")
 

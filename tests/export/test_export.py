@@ -19,11 +19,11 @@ from typer.testing import CliRunner, Result
 from bask_data.artifact import Artifact, digest_of, list_files, seal
 from bask_data.cli.app import app
 from bask_data.dataset import Dataset
+from bask_data.engine import key_parts, plan
 from bask_data.errors import BadData, BaskError, MissingDependency, UsageError, WouldOverwrite
 from bask_data.export import FORMATS, ExportSettings, export
 from bask_data.export.episodes import Episodes, held
 from bask_data.kinds import Camera, DescriptorNet, KeypointTrack, ReferenceKeypoints, Robot
-from bask_data.stage import key_parts, plan
 from bask_data.stages.encode import encode
 from tests.datasets import publish_artifact
 from tests.export.encoded import KEYPOINTS, Demo, state

@@ -11,7 +11,7 @@ import zarr
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
 from bask_data.kinds import Pick, Reconstruction, ReferenceKeypoints, Scan
-from tests.test_stage import add_scan
+from tests.datasets import add_scan
 
 
 @pytest.fixture

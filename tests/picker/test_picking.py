@@ -13,13 +13,13 @@ from bask_data.artifact import SCRATCH
 from bask_data.cli.app import app
 from bask_data.config import load_config
 from bask_data.dataset import Dataset, Variant
+from bask_data.engine import plan, state_of
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import DescriptorNet, ReferenceKeypoints, VisibleMasks
 from bask_data.picker import Picking, pick_keypoints
 from bask_data.picker.desk import Desk
 from bask_data.picker.requests import EditRequest, EmptyRequest, FramePixel
 from bask_data.pipeline import STAGES
-from bask_data.stage import plan, state_of
 from bask_data.stages.reference import reference
 from tests.picker.pickable import frame, pickable_dataset
 from tests.picker.serving import Served

@@ -15,10 +15,10 @@ from bask_data.cli.app import app
 from bask_data.core.correspondences import REJECTIONS, Matches
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
 from bask_data.dataset import Dataset
+from bask_data.engine import make, plan
 from bask_data.kinds import Correspondences, InstanceRow, ObjectInstances, VisibleMasks
 from bask_data.kinds import correspondences as kind
 from bask_data.kinds.correspondences import Rejection
-from bask_data.stage import make, plan
 from bask_data.stages.correspondences import CorrespondencesParams, Tally, _tolerance, correspondences, n_kept
 from tests import meshes, scenes
 from tests.datasets import publish_artifact, publish_mesh, publish_recording

@@ -15,9 +15,9 @@ from bask_data.artifact import read_manifest
 from bask_data.core.bayes_filter import DiscreteSettings, ParticleSettings
 from bask_data.core.geometry import project
 from bask_data.dataset import Dataset
+from bask_data.engine import make, plan, state_of
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Robot, Truth, arrays
 from bask_data.kinds.truth import TruthMetadata
-from bask_data.stage import make, plan, state_of
 from bask_data.stages.encode import EncodeParams, _beside, encode, settings_of
 from bask_data.tracker import Keypoints, KeypointTracker, Look
 from tests.datasets import publish_artifact

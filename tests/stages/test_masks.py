@@ -7,8 +7,8 @@ import pytest
 
 from bask_data.core.tsdf import Volume
 from bask_data.dataset import Dataset
+from bask_data.engine import Outcome, make, plan
 from bask_data.kinds import InstanceRow, ObjectInstances, Reconstruction, Scan, VisibleMasks
-from bask_data.stage import Outcome, make, plan
 from bask_data.stages.masks import masks
 from tests.datasets import publish_artifact, publish_recording
 from tests.scenes import Plane, Scene, Sphere, View, intrinsics, orbit, tabletop

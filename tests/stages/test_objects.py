@@ -7,8 +7,8 @@ import pytest
 from pydantic import ValidationError
 
 from bask_data.dataset import Dataset
+from bask_data.engine import make, plan
 from bask_data.kinds import ObjectInstances
-from bask_data.stage import make, plan
 from bask_data.stages.objects import ObjectsParams, objects
 from tests import scenes
 from tests.datasets import publish_mesh, publish_recording

@@ -10,9 +10,9 @@ import psutil
 import pytest
 
 from bask_data.dataset import Dataset, Source
+from bask_data.engine import Outcome, make, plan
 from bask_data.errors import UsageError
 from bask_data.kinds import Reconstruction, Scan
-from bask_data.stage import Outcome, make, plan
 from bask_data.stages.reconstruct import WORKING_BYTES, reconstruct
 from tests.datasets import publish_artifact, publish_recording
 from tests.scenes import Box, Plane, Scene, Sphere, intrinsics, look_at, noisy, orbit

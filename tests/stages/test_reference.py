@@ -11,10 +11,10 @@ import torch
 
 from bask_data.core.geometry import invert_rigid, project, transform
 from bask_data.dataset import Dataset
+from bask_data.engine import make, plan, state_of
 from bask_data.kinds import Demonstration, DescriptorNet, ReferenceKeypoints, Scan, VisibleMasks
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings
 from bask_data.progress import listened_by
-from bask_data.stage import make, plan, state_of
 from bask_data.stages.reference import as_text, parsed, reference
 from tests.datasets import publish_artifact
 from tests.nn import pairs

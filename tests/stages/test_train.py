@@ -14,7 +14,9 @@ import pytest
 import torch
 from filelock import FileLock
 
+from bask_data.artifact import digest_of
 from bask_data.dataset import Dataset, Splits
+from bask_data.engine import key_parts, make, plan
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import DescriptorNet
 from bask_data.nn.augment import AugmentSettings
@@ -27,7 +29,6 @@ from bask_data.nn.sampling import SampleSettings
 from bask_data.nn.state import saved_step
 from bask_data.nn.training import TrainingSettings
 from bask_data.progress import listen
-from bask_data.stage import _resumed, digest_of, key_parts, make, plan
 from bask_data.stages import train as train_module
 from bask_data.stages.train import TrainParams, train
 from tests.nn.pairs import SIZE
@@ -96,7 +97,7 @@ def test_weights_with_a_spoilt_number_are_not_used(dataset, trained, tmp_path):
 
 def test_a_state_that_a_disk_has_spoilt_costs_no_more_than_time(dataset, trained):
     [task] = plan(dataset, train, options=SMALL)
-    scratch = _resumed(task, digest_of(key_parts(task)))
+    scratch = task.resumable_scratch(digest_of(key_parts(task)))
     scratch.mkdir(parents=True)
     (scratch / "state.safetensors").write_bytes(b"spoilt")
     told: list[str] = []
@@ -413,9 +414,9 @@ def test_more_processes_than_pairs_are_refused(dataset, monkeypatch):
 
 
 def test_a_group_of_processes_does_not_wait_for_another(dataset, monkeypatch):
-    from bask_data import stage
+    from bask_data.engine import resumable
 
-    monkeypatch.setattr(stage, "processes", lambda: 2)
+    monkeypatch.setattr(resumable, "processes", lambda: 2)
     with FileLock(dataset.root / ".scratch" / "resume~descriptor~main~~.lock"):
         outcome = made(dataset, seed=8)
     assert (

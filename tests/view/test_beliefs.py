@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bask_data.dataset import Dataset
+from bask_data.engine import make, plan
 from bask_data.kinds import DescriptorNet, KeypointTrack
-from bask_data.stage import make, plan
 from bask_data.stages.encode import encode
 from bask_data.view import Choice, drawing, save_recording
 from bask_data.view.beliefs import N_PARTICLES

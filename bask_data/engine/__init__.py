@@ -1,0 +1,44 @@
+"""The engine: declares stages, plans what they have to make, and makes it. Everything is read off a stage's signature.
+
+A parameter annotated with a kind is an input: of the same item if the kind has the stage's scope, the dataset's one if
+the kind belongs to the dataset, and all items' if it is `list[Kind]`. Parameters may do without some (`Params.reads`);
+a single input that may be missing so is annotated `Kind | None`. `params` holds what changes the result, `out` is
+the empty directory to fill, `Splits` gives the dataset's splits; `log`, if it is asked for, is a directory outside the
+artifact for what differs from run to run. Exactly one stage makes a kind, so the graph needs no names.
+"""
+
+from bask_data.dataset import Splits
+from bask_data.engine.declare import Stage, in_order, stage
+from bask_data.engine.group import follow, is_follower, processes
+from bask_data.engine.making import Outcome, foretold, make, run
+from bask_data.engine.provenance import record
+from bask_data.engine.state import State, key_parts, state_of, state_told
+from bask_data.engine.tasks import Config, Task, parameter_files, plan, resolve
+from bask_data.params import Params
+from bask_data.progress import progress
+
+__all__ = [
+    "Config",
+    "Outcome",
+    "Params",
+    "Splits",
+    "Stage",
+    "State",
+    "Task",
+    "follow",
+    "foretold",
+    "in_order",
+    "is_follower",
+    "key_parts",
+    "make",
+    "parameter_files",
+    "plan",
+    "processes",
+    "progress",
+    "record",
+    "resolve",
+    "run",
+    "stage",
+    "state_of",
+    "state_told",
+]

@@ -1,0 +1,136 @@
+"""Making artifacts: one task, or many of them here or on any executor."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, as_completed
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from bask_data.artifact import MANIFEST, Manifest, digest_of, new_scratch, publish, read_manifest, seal
+from bask_data.engine.arguments import arguments_of
+from bask_data.engine.provenance import record
+from bask_data.engine.resumable import filled_resumable
+from bask_data.engine.state import State, key_parts, state_of, state_told
+from bask_data.engine.tasks import Task
+from bask_data.errors import BaskError
+from bask_data.progress import report
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a task."""
+
+    label: str
+    kind: str
+    item: str
+    variant: str
+    path: str
+    status: Literal["made", "up to date", "failed", "blocked", "would make"]
+    why: str = ""
+    seconds: float = 0.0
+    digest: str = ""
+    error: BaskError | None = None
+
+
+def make(task: Task, force: bool = False) -> Outcome:
+    """Make one artifact unless it is up to date. Errors come back in the outcome, so that other items go on."""
+    begun = time.perf_counter()
+    path = str(task.target)
+    outcome = Outcome(task.label, task.stage.makes.kind, task.item, task.variant, path, "made")
+    try:
+        state = state_of(task)
+        if state.status == "blocked":
+            return replace(outcome, status="blocked", why=state.why)
+        if state.status == "up to date" and not force:
+            return replace(outcome, status="up to date", digest=read_manifest(task.target).digest)
+        manifest = _make(task, begun, force)
+    except BaskError as error:
+        return replace(
+            outcome, status="failed", why=_with_notes(error), seconds=time.perf_counter() - begun, error=error
+        )
+    except ImportError:
+        raise
+    except Exception as error:
+        # An input that a stage did not expect, or a full disk: other items go on, and it is said which one it was.
+        if os.environ.get("BASK_DEBUG"):
+            raise
+        why = f"{path}: {type(error).__name__}: {error}  fix: `bask-data validate`, or BASK_DEBUG=1 for the traceback."
+        return replace(outcome, status="failed", why=why, seconds=time.perf_counter() - begun)
+    return replace(outcome, seconds=time.perf_counter() - begun, digest=manifest.digest, why=state.why)
+
+
+def _with_notes(error: BaskError) -> str:
+    return "\n".join([str(error), *getattr(error, "__notes__", [])])
+
+
+def _make(task: Task, begun: float, force: bool) -> Manifest:
+    parts = key_parts(task)
+    key = digest_of(parts)
+    arguments = arguments_of(task)
+    task.dataset.prepare(task.stage.makes, task.variant)
+
+    def fill(scratch: Path) -> Manifest:
+        task.stage.function(**arguments, out=scratch)
+        manifest = seal(
+            scratch,
+            artifact=task.stage.makes,
+            stage=task.stage.name,
+            stage_version=task.stage.version,
+            params=parts["params"],
+            inputs=parts["inputs"],
+            key=key,
+        )
+        publish(scratch, task.target)
+        return manifest
+
+    if task.stage.resumable:
+        manifest = filled_resumable(task, key, fill, force)
+    else:
+        scratch = new_scratch(task.root, task.stage.makes.kind)
+        try:
+            manifest = fill(scratch)
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+    record(task.root, task.target, begun, manifest.key)
+    return manifest
+
+
+def foretold(tasks: Sequence[Task], coming: set[Path], force: bool = False) -> Iterator[Outcome]:
+    """What `run` would do, and why.
+
+    Args:
+        coming: paths of what earlier stages would make; what these tasks would is added.
+    """
+    for task in tasks:
+        state = state_told(task)
+        lacking = [path for path in task.input_paths if not (path / MANIFEST).exists()]
+        if state.status == "blocked" and lacking and coming.issuperset(lacking):
+            state = State("missing", f"after {', '.join(path.relative_to(task.root).as_posix() for path in lacking)}")
+        would = state.status in ("missing", "stale") or (force and state.status == "up to date")
+        if would:
+            coming.add(task.target)
+        status: Any = "would make" if would else state.status
+        yield Outcome(task.label, task.stage.makes.kind, task.item, task.variant, str(task.target), status, state.why)
+
+
+def run(tasks: Sequence[Task], *, executor: Executor | None = None, force: bool = False) -> Iterator[Outcome]:
+    """Make what is not up to date, here or on any executor, and yield outcomes as they come."""
+    if executor is None:
+        for task in tasks:
+            yield make(task, force)
+        return
+    futures = [executor.submit(make, task, force) for task in tasks]
+    label = tasks[0].stage.name if tasks else ""
+    try:
+        for done, future in enumerate(as_completed(futures), start=1):
+            report(label, done, len(futures))
+            yield future.result()
+    except BaseException:
+        for future in futures:
+            future.cancel()
+        raise
