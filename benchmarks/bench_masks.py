@@ -13,10 +13,13 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import open3d as o3d
 
-from bask_data.core.completion import Completion
 from bask_data.core.depth import filled, in_range
-from bask_data.core.masks import TOLERANCE, Surface, ray_directions, visible_instances, world_rays
 from bask_data.core.tsdf import Volume
+from bask_data.core.visibility.completion import Completion
+from bask_data.core.visibility.labelled import LabelledSurface
+from bask_data.core.visibility.sensor import TOLERANCE
+from bask_data.core.visibility.surface import ray_directions, world_rays
+from bask_data.core.visibility.visible import visible_instances
 from tests.scenes import Scene, intrinsics, noisy, orbit, tabletop
 
 HEIGHT, WIDTH = 480, 640
@@ -43,7 +46,7 @@ def both(scene: Scene, cameras: np.ndarray, with_holes: bool) -> tuple[Callable[
         volume.integrate(noisy(view.depth, 0.001, rng), view.rgb, K, camera)
     mesh = volume.mesh()
     labels = scene.instance_at(mesh.vertices.astype(np.float64), 0.002)
-    surface = Surface(mesh.vertices, mesh.triangles, labels, scene.n_objects, mesh.colors)
+    surface = LabelledSurface(mesh.vertices, mesh.triangles, labels, scene.n_objects, mesh.colors)
     bare = o3d.t.geometry.RaycastingScene()
     from_numpy = o3d.core.Tensor.from_numpy
     bare.add_triangles(from_numpy(mesh.vertices), from_numpy(mesh.triangles.astype(np.uint32)))

@@ -80,7 +80,7 @@ class Background:
 
 
 @dataclass(frozen=True)
-class Surface:
+class MeshVertices:
     """The vertices of a mesh.
 
     Args:
@@ -93,12 +93,12 @@ class Surface:
     normals: Float[ndarray, "n 3"]
     areas: Float[ndarray, "n"]
 
-    def __getitem__(self, chosen: Bool[ndarray, "n"]) -> Surface:
-        return Surface(self.points[chosen], self.normals[chosen], self.areas[chosen])
+    def __getitem__(self, chosen: Bool[ndarray, "n"]) -> MeshVertices:
+        return MeshVertices(self.points[chosen], self.normals[chosen], self.areas[chosen])
 
 
 def find_background(
-    surface: Surface,
+    surface: MeshVertices,
     rng: np.random.Generator,
     *,
     voxel_size: float,
@@ -152,7 +152,7 @@ def thickness(plane: Plane, voxel_size: float, most: float) -> float:
     return max(voxel_size, min(NOISE_SIGMAS * plane.noise, most))
 
 
-def given_support(plane: Float[ndarray, "4"], surface: Surface, inlier: float) -> Plane:
+def given_support(plane: Float[ndarray, "4"], surface: MeshVertices, inlier: float) -> Plane:
     """The plane where it was put; refined only to learn the surface's noise."""
     length = np.linalg.norm(plane[:3])
     if not length > 0:
@@ -162,7 +162,7 @@ def given_support(plane: Float[ndarray, "4"], surface: Surface, inlier: float) -
 
 
 def support_of_scene(
-    surface: Surface,
+    surface: MeshVertices,
     rng: np.random.Generator,
     up: Float[ndarray, "3"] | None,
     guess_up: Float[ndarray, "3"] | None,
@@ -196,14 +196,14 @@ def support_of_scene(
     return planes[best], tuple([doubts[best]] if doubts[best] else []) + tuple(warnings)
 
 
-def is_another(plane: Plane, best: Plane, surface: Surface, inlier: float) -> bool:
+def is_another(plane: Plane, best: Plane, surface: MeshVertices, inlier: float) -> bool:
     """Whether most of a plane's surface is off another's. Noise of a large table holds tilted planes of its own."""
     mine = on_plane(surface.points, surface.normals, plane.plane, inlier)
     off = np.abs(height(surface.points[mine], best.plane)) > 2 * inlier
     return bool(surface.areas[mine][off].sum() > 0.5 * surface.areas[mine].sum())
 
 
-def doubt(plane: Plane, surface: Surface, inlier: float) -> str:
+def doubt(plane: Plane, surface: MeshVertices, inlier: float) -> str:
     """What speaks against a plane's being the support, as a sentence; empty when nothing does."""
     floor = on_plane(surface.points, surface.normals, plane.plane, inlier) & (surface.areas > 0)
     if floor.sum() < 3:
@@ -233,7 +233,7 @@ def rounded(plane: Plane) -> list[float]:
 
 
 def walls(
-    surface: Surface,
+    surface: MeshVertices,
     foreground: Bool[ndarray, "n"],
     floor: Bool[ndarray, "n"],
     support: Float[ndarray, "4"],
@@ -264,7 +264,7 @@ def walls(
 
 
 def bounds_scene(
-    plane: Plane, patch: Float[ndarray, "m 3"], scene: Surface, support: Float[ndarray, "4"], inlier: float
+    plane: Plane, patch: Float[ndarray, "m 3"], scene: MeshVertices, support: Float[ndarray, "4"], inlier: float
 ) -> bool:
     """Whether an upright plane runs along most of the scene and has next to nothing behind it."""
     if abs(plane.plane[:3] @ support[:3]) > UPRIGHT:

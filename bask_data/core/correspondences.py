@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import open3d as o3d
 from jaxtyping import Bool, Float, Float32, Int, Int32, UInt8
 from numba import njit
 from numpy import ndarray
@@ -19,7 +18,7 @@ from numpy import ndarray
 from bask_data.core.compiled import compiled
 from bask_data.core.depth import SIGMA_FROM_MAD
 from bask_data.core.geometry import invert_rigid, unproject
-from bask_data.core.rays import ray_scene
+from bask_data.core.visibility.surface import Surface
 
 REJECTIONS = (
     "outside_b",
@@ -104,31 +103,30 @@ class Matches:
         return len(self.instance) + int(self.rejections.sum())
 
 
-class Surface:
-    """A mesh that rays can be cast against."""
+def cast_through(
+    surface: Surface,
+    uv: Float[ndarray, "n 2"],
+    K: Float[ndarray, "3 3"],
+    world_from_camera: Float[ndarray, "4 4"],
+) -> tuple[Float32[ndarray, "n"], Float32[ndarray, "n"]]:
+    """z-depth of the first hit through each pixel, metres, infinity for none; and the cosine of its incidence."""
+    directions = (unproject(uv, np.ones(len(uv)), K) @ world_from_camera[:3, :3].T).astype(np.float32)
+    rays = np.empty((len(uv), 6), np.float32)
+    rays[:, :3], rays[:, 3:] = world_from_camera[:3, 3], directions
+    hits = surface.cast(rays)
+    cosine = np.abs(np.einsum("ij,ij->i", hits.normal, directions))
+    return hits.distance, cosine / np.linalg.norm(directions, axis=1)
 
-    def __init__(self, vertices: Float32[ndarray, "n 3"], triangles: Int[ndarray, "m 3"]) -> None:
-        self._scene = ray_scene(vertices, triangles)
 
-    def cast(
-        self, uv: Float[ndarray, "n 2"], K: Float[ndarray, "3 3"], world_from_camera: Float[ndarray, "4 4"]
-    ) -> tuple[Float32[ndarray, "n"], Float32[ndarray, "n"]]:
-        """z-depth of the first hit through each pixel, metres, infinity for none; and the cosine of its incidence."""
-        directions = (unproject(uv, np.ones(len(uv)), K) @ world_from_camera[:3, :3].T).astype(np.float32)
-        rays = np.empty((len(uv), 6), np.float32)
-        rays[:, :3], rays[:, 3:] = world_from_camera[:3, 3], directions
-        hits = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
-        cosine = np.abs(np.einsum("ij,ij->i", hits["primitive_normals"].numpy(), directions))
-        return hits["t_hit"].numpy(), cosine / np.linalg.norm(directions, axis=1)
-
-    def unhidden(
-        self, points_world: Float[ndarray, "n 3"], world_from_camera: Float[ndarray, "4 4"]
-    ) -> Bool[ndarray, "n"]:
-        """Points of the surface with no other part of it between them and the camera."""
-        rays = np.empty((len(points_world), 6), np.float32)
-        rays[:, :3], rays[:, 3:] = world_from_camera[:3, 3], points_world - world_from_camera[:3, 3]
-        hits = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))["t_hit"].numpy()
-        return hits * np.linalg.norm(rays[:, 3:], axis=1) > np.linalg.norm(rays[:, 3:], axis=1) - ON_SURFACE
+def unhidden(
+    surface: Surface, points_world: Float[ndarray, "n 3"], world_from_camera: Float[ndarray, "4 4"]
+) -> Bool[ndarray, "n"]:
+    """Points of a surface with no other part of it between them and the camera."""
+    rays = np.empty((len(points_world), 6), np.float32)
+    rays[:, :3], rays[:, 3:] = world_from_camera[:3, 3], points_world - world_from_camera[:3, 3]
+    length = np.linalg.norm(rays[:, 3:], axis=1)
+    clear: Bool[ndarray, "n"] = surface.cast(rays).distance * length > length - ON_SURFACE
+    return clear
 
 
 def view(
@@ -163,7 +161,7 @@ def view(
         where = np.flatnonzero(instance)
         width = instance.shape[1]
         uv = np.stack([where % width, where // width], axis=1).astype(np.float64)
-        cast, cosine = surface.cast(uv, K, world_from_camera)
+        cast, cosine = cast_through(surface, uv, K, world_from_camera)
         rendered = np.zeros_like(measured)
         rendered.reshape(-1)[where] = np.where(np.isfinite(cast), cast, 0)
         depth, doubtful, noise = refined(measured, rendered, tolerance)

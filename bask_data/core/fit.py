@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import open3d as o3d
 from jaxtyping import Bool, Float, Float32, Int, Int32, UInt8
 from numpy import ndarray
 
 from bask_data.core.depth import DEPTH_SLACK, SIGMA_FROM_MAD
 from bask_data.core.geometry import unproject
-from bask_data.core.rays import ray_scene
+from bask_data.core.visibility.surface import Surface
 
 LEAST_JUDGED = 50
 """Rays of a frame below which nothing is said of it, and frames below which none stands out."""
@@ -53,11 +52,11 @@ def sketch(raw: Float32[ndarray, "h w"], cleaned: Float32[ndarray, "h w"], far: 
     return Sketch(step, depth, (n_measured * 255 // step**2).astype(np.uint8))
 
 
-class Surface:
+class FacedSurface:
     """A mesh ready for rays, and which of its triangles they met from the front and from behind."""
 
     def __init__(self, vertices: Float32[ndarray, "n 3"], triangles: Int32[ndarray, "m 3"]) -> None:
-        self._scene = ray_scene(vertices, triangles)
+        self._surface = Surface(vertices, triangles)
         corners = vertices[triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self._area = np.linalg.norm(normals, axis=1) / 2
@@ -66,13 +65,11 @@ class Surface:
     def cast(self, rays: Float32[ndarray, "n 6"]) -> tuple[Float32[ndarray, "n"], Bool[ndarray, "n"]]:
         """Ray parameter of the first hit of rays (origin, direction), infinity for none, and whether it is the back
         of a triangle."""
-        hits = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
-        distance = hits["t_hit"].numpy()
-        behind = np.einsum("nx,nx->n", hits["primitive_normals"].numpy(), rays[:, 3:]) > 0
-        hit = np.isfinite(distance)
-        triangle = hits["primitive_ids"].numpy()[hit]
-        self._met[behind[hit].astype(np.int64), triangle] = True
-        return distance, behind & hit
+        hits = self._surface.cast(rays)
+        behind = np.einsum("nx,nx->n", hits.normal, rays[:, 3:]) > 0
+        hit = np.isfinite(hits.distance)
+        self._met[behind[hit].astype(np.int64), hits.triangle[hit]] = True
+        return hits.distance, behind & hit
 
     @property
     def area_from_behind(self) -> float:
@@ -104,7 +101,7 @@ def fit(
     seen: Sketch,
     K: Float[ndarray, "3 3"],
     world_from_camera: Float[ndarray, "4 4"],
-    surface: Surface,
+    surface: FacedSurface,
     bounds: Float[ndarray, "2 3"],
     slack: tuple[float, float] = DEPTH_SLACK,
 ) -> Fit:

@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from bask_data.core.background import Background, Support, Surface, find_background
+from bask_data.core.background import Background, MeshVertices, Support, find_background
 from bask_data.core.clusters import dbscan
 from bask_data.core.planes import height
 
@@ -155,7 +155,7 @@ def split_objects(
         raise ValueError(f"voxel_size and eps must be > 0 metres, got {voxel_size} and {eps}")
     normals, areas = vertex_normals_and_areas(vertices, triangles)
     scene = find_background(
-        Surface(vertices, normals, areas),
+        MeshVertices(vertices, normals, areas),
         rng,
         voxel_size=voxel_size,
         support=support,

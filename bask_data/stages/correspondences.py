@@ -18,8 +18,9 @@ from bask_data.kinds.masks import CameraMasks
 if TYPE_CHECKING:
     import numpy as np
 
-    from bask_data.core.correspondences import Matches, Surface, View
+    from bask_data.core.correspondences import Matches, View
     from bask_data.core.views import Pairs
+    from bask_data.core.visibility.surface import Surface
 
 N_SURFACE_POINTS = 512
 """Points on the objects by which the overlap of two frames is judged."""
@@ -89,7 +90,8 @@ def correspondences(
     """
     import numpy as np
 
-    from bask_data.core.correspondences import REJECTIONS, Surface, match
+    from bask_data.core.correspondences import REJECTIONS, match
+    from bask_data.core.visibility.surface import Surface
 
     _check(scan, masks)
     cameras = [(camera, masks.camera(camera.name)) for camera in scan.cameras]
@@ -212,6 +214,7 @@ def _choose(
     """The pairs of frames to match, judged by points on the objects; no frame is read for it."""
     import numpy as np
 
+    from bask_data.core.correspondences import unhidden
     from bask_data.core.objects import vertex_normals_and_areas
     from bask_data.core.views import choose_pairs, seen
 
@@ -227,7 +230,7 @@ def _choose(
         shown = seen(points, normals, camera.K, camera.world_from_cameras, camera.height, camera.width)
         if len(drawn) and surface is not None:
             for row, world_from_camera in zip(shown, camera.world_from_cameras, strict=True):
-                row[row] = surface.unhidden(points[row], world_from_camera)
+                row[row] = unhidden(surface, points[row], world_from_camera)
             # What is no part of the surface, as a hand, hides objects too. NaN, no projection at all, is not greater
             # than zero either.
             shown &= masks.camera(camera.name).visible_fraction[:, instance - 1] > 0

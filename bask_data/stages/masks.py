@@ -15,8 +15,8 @@ from bask_data.kinds import Camera, ObjectInstances, Reconstruction, Scan, Visib
 if TYPE_CHECKING:
     import numpy as np
 
-    from bask_data.core.completion import Completion
-    from bask_data.core.masks import Surface
+    from bask_data.core.visibility.completion import Completion
+    from bask_data.core.visibility.labelled import LabelledSurface
 
 N_SURVEYED = 16
 """Frames a camera is looked at beforehand, to learn its noise, what is fixed to it, and what it saw through."""
@@ -55,8 +55,11 @@ def masks(scan: Scan, reconstruction: Reconstruction, objects: ObjectInstances, 
     A pixel belongs to the object its ray meets first, unless the measured depth shows something else in front of it
     or the mesh wrong. Pixels without measurement follow the ray, and are marked.
     """
-    from bask_data.core import masks as core
-    from bask_data.core.completion import Completion
+    from bask_data.core.visibility import sensor
+    from bask_data.core.visibility.completion import Completion
+    from bask_data.core.visibility.labelled import LabelledSurface
+    from bask_data.core.visibility.surface import ray_directions
+    from bask_data.core.visibility.visible import visible_instances
 
     if len(objects.vertex_instance) != len(reconstruction.vertices):
         raise BadData(
@@ -68,23 +71,25 @@ def masks(scan: Scan, reconstruction: Reconstruction, objects: ObjectInstances, 
         )
     n_instances = len(objects.instances)
     vertices, labels = reconstruction.vertices, objects.vertex_instance
-    surface = core.Surface(vertices, reconstruction.triangles, labels, n_instances, reconstruction.colors)
+    surface = LabelledSurface(vertices, reconstruction.triangles, labels, n_instances, reconstruction.colors)
     completion = Completion(vertices, labels, reach=reconstruction.voxel_size) if params.fill_holes else None
     with VisibleMasks.writer(out, n_instances) as writer:
         fixed = {}
         for camera in scan.cameras:
-            deviation = core.noise(_residuals(camera, surface, params))
+            deviation = sensor.noise(_residuals(camera, surface, params))
             if deviation is not None:
                 writer.noise[camera.name] = deviation
-            writer.tolerance[camera.name] = _tolerance(core.tolerance_of(deviation, reconstruction.voxel_size), params)
+            writer.tolerance[camera.name] = _tolerance(
+                sensor.tolerance_of(deviation, reconstruction.voxel_size), params
+            )
             fixed[camera.name] = _survey(camera, surface, completion, writer.tolerance[camera.name], params)
         if completion is not None:
             completion.finish()
         for camera in scan.cameras:
-            directions = core.ray_directions(camera.K, camera.height, camera.width)
+            directions = ray_directions(camera.K, camera.height, camera.width)
             stream = writer.camera(camera.name, camera.n_frames, camera.height, camera.width)
             for i_frame in progress(range(camera.n_frames), f"masks of {camera.name}"):
-                frame = core.visible_instances(
+                frame = visible_instances(
                     surface,
                     _measured(camera, i_frame, params),
                     directions,
@@ -121,14 +126,15 @@ def _surveyed(camera: Camera) -> np.ndarray:
     return np.unique(np.linspace(0, camera.n_frames - 1, min(N_SURVEYED, camera.n_frames)).round().astype(int))
 
 
-def _residuals(camera: Camera, surface: Surface, params: MasksParams) -> np.ndarray:
+def _residuals(camera: Camera, surface: LabelledSurface, params: MasksParams) -> np.ndarray:
     import numpy as np
 
-    from bask_data.core import masks as core
+    from bask_data.core.visibility import sensor
+    from bask_data.core.visibility.surface import ray_directions
 
-    directions = core.ray_directions(camera.K, camera.height, camera.width)
+    directions = ray_directions(camera.K, camera.height, camera.width)
     samples = [
-        core.residuals(surface, _measured(camera, i_frame, params), directions, camera.world_from_cameras[i_frame])
+        sensor.residuals(surface, _measured(camera, i_frame, params), directions, camera.world_from_cameras[i_frame])
         for i_frame in _surveyed(camera)
     ]
     return np.concatenate(samples) if samples else np.zeros((0, 2), np.float32)
@@ -136,22 +142,23 @@ def _residuals(camera: Camera, surface: Surface, params: MasksParams) -> np.ndar
 
 def _survey(
     camera: Camera,
-    surface: Surface,
+    surface: LabelledSurface,
     completion: Completion | None,
     tolerance: tuple[float, float],
     params: MasksParams,
 ) -> np.ndarray | None:
     """Pixels that show something fixed to the camera; None if that is not looked for. Carves the completion."""
-    from bask_data.core import masks as core
+    from bask_data.core.visibility.fixed_to_camera import confirmed, fixed_to_camera
+    from bask_data.core.visibility.surface import ray_directions
 
-    directions = core.ray_directions(camera.K, camera.height, camera.width)
+    directions = ray_directions(camera.K, camera.height, camera.width)
 
     def looks() -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for i_frame in _surveyed(camera):
             depth, world_from_camera = _measured(camera, i_frame, params), camera.world_from_cameras[i_frame]
             if completion is not None:
                 completion.carve(depth, camera.K, world_from_camera, tolerance)
-            yield camera.rgb(i_frame), core.confirmed(surface, depth, directions, world_from_camera, tolerance)
+            yield camera.rgb(i_frame), confirmed(surface, depth, directions, world_from_camera, tolerance)
 
-    fixed = core.fixed_to_camera(looks(), camera.height, camera.width)
+    fixed = fixed_to_camera(looks(), camera.height, camera.width)
     return fixed if params.find_fixed else None

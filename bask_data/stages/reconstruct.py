@@ -18,7 +18,7 @@ from bask_data.kinds.reconstruction import FrameRow, Quality, UnmeasuredRegion
 if TYPE_CHECKING:
     import numpy as np
 
-    from bask_data.core.fit import Fit, Sketch, Surface
+    from bask_data.core.fit import FacedSurface, Fit, Sketch
     from bask_data.core.tsdf import Mesh
 
 N_SURVEYED = 24
@@ -405,14 +405,14 @@ class _Assessment:
 class _Held:
     """A mesh ready for rays, and every frame held against it."""
 
-    surface: Surface
+    surface: FacedSurface
     fits: list[Fit]
 
 
 def _held(frames: list[FrameOfCamera], notes: list[_Note], mesh: Mesh, bounds: np.ndarray) -> _Held:
     from bask_data.core import fit
 
-    surface = fit.Surface(mesh.vertices, mesh.triangles)
+    surface = fit.FacedSurface(mesh.vertices, mesh.triangles)
     fits = [
         fit.fit(note.sketch, camera.K, camera.world_from_cameras[i_frame], surface, bounds)
         for (camera, i_frame), note in zip(frames, notes, strict=True)
@@ -473,7 +473,7 @@ def _suspects(frames: list[FrameOfCamera], fits: list[Fit]) -> set[tuple[str, in
 
 
 def _unmeasured(
-    frames: list[FrameOfCamera], notes: list[_Note], surface: Surface, bounds: np.ndarray
+    frames: list[FrameOfCamera], notes: list[_Note], surface: FacedSurface, bounds: np.ndarray
 ) -> list[UnmeasuredRegion]:
     from bask_data.core import fit, unmeasured
 

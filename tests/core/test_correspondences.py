@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from bask_data.core import correspondences
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
+from bask_data.core.visibility.surface import Surface
 from tests import meshes, scenes
 
 HEIGHT, WIDTH = 120, 160
@@ -30,7 +31,7 @@ CAMERAS = scenes.orbit(12, radius=0.5)
 @pytest.fixture(scope="module")
 def surface():
     vertices, triangles, _ = meshes.table(BLOCKS, step=0.01)
-    return correspondences.Surface(vertices, triangles)
+    return Surface(vertices, triangles)
 
 
 @pytest.fixture(scope="module")
@@ -350,7 +351,7 @@ def test_a_distrusted_pixel_is_not_matched(images, surface):
 def test_points_behind_others_are_hidden_by_the_surface(surface):
     points = np.array([[-0.07, -0.07, 0.08], [-0.07, -0.07, 0.0], [0.035, 0.085, 0.05]])
     above = scenes.look_at((0.0, 0.0, 0.7))
-    assert surface.unhidden(points, above).tolist() == [True, False, True]
+    assert correspondences.unhidden(surface, points, above).tolist() == [True, False, True]
 
 
 def steps_of(depth, axis):

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bask_data.core.fit import Sketch, Surface, fit, outliers, sketch, sketch_rays
+from bask_data.core.fit import FacedSurface, Sketch, fit, outliers, sketch, sketch_rays
 from tests.meshes import sheet
 from tests.scenes import Plane, Scene, intrinsics, look_at
 
@@ -14,9 +14,9 @@ BOUNDS = np.array([[-0.2, -0.2, -0.05], [0.2, 0.2, 0.2]])
 TABLE = Scene((), (Plane(),))
 
 
-def table_mesh(height: float = 0.0) -> Surface:
+def table_mesh(height: float = 0.0) -> FacedSurface:
     vertices, triangles = sheet((-0.2, -0.2, height), (0.4, 0, 0), (0, 0.4, 0), 0.02)
-    return Surface(vertices.astype(np.float32), triangles.astype(np.int32))
+    return FacedSurface(vertices.astype(np.float32), triangles.astype(np.int32))
 
 
 def seen(scene: Scene, camera: np.ndarray = ABOVE) -> Sketch:

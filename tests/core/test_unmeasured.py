@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bask_data.core.fit import Surface, sketch, sketch_rays
+from bask_data.core.fit import FacedSurface, sketch, sketch_rays
 from bask_data.core.unmeasured import SketchedView, unmeasured_regions
 from tests.meshes import sheet
 from tests.scenes import Box, Plane, Scene, intrinsics, orbit
@@ -20,7 +20,7 @@ def views_of(cameras: np.ndarray, *, unseen: tuple[Box, ...] = (), missing: floa
     """What cameras above a table with a block on it see; they get no measurement where `unseen` bodies stand."""
     rng = np.random.default_rng(0)
     vertices, triangles = sheet((-0.3, -0.3, 0), (0.6, 0, 0), (0, 0.6, 0), 0.02)
-    surface = Surface(vertices.astype(np.float32), triangles.astype(np.int32))
+    surface = FacedSurface(vertices.astype(np.float32), triangles.astype(np.int32))
     views = []
     for camera in cameras:
         depth = Scene((CLAY,), TABLE).render(K, camera, HEIGHT, WIDTH).depth

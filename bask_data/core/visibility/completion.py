@@ -9,13 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import open3d as o3d
 from jaxtyping import Bool, Float, Float32, Int, Int32, UInt8
 from numpy import ndarray
 from scipy.spatial import ConvexHull, QhullError
 
 from bask_data.core.geometry import in_image, invert_rigid, project, transform
-from bask_data.core.rays import ray_scene
+from bask_data.core.visibility.surface import Surface
 
 N_CELLS = 48
 """Cells along the longest side of an object, at most; more would show no finer than a few pixels."""
@@ -70,7 +69,7 @@ class Completion:
             block = _block(vertices[vertex_instance == instance].astype(np.float64), int(instance), reach)
             if block is not None:
                 self._blocks.append(block)
-        self._scene: o3d.t.geometry.RaycastingScene | None = None
+        self._surface: Surface | None = None
         self._face_label = np.zeros(0, np.uint8)
         self._allowed: list[Bool[ndarray, "nx ny nz"]] = []
 
@@ -105,15 +104,15 @@ class Completion:
         triangles = [faces + begin for (_, faces), begin in zip(parts, start[:-1], strict=True)]
         if len(self._face_label) > 1:
             vertices = np.concatenate([points for points, _ in parts]).astype(np.float32)
-            self._scene = ray_scene(vertices, np.concatenate(triangles))
+            self._surface = Surface(vertices, np.concatenate(triangles))
 
     def hit(self, rays: Float32[ndarray, "n 6"]) -> tuple[Float32[ndarray, "n"], UInt8[ndarray, "n"]]:
         """Ray parameter of the first cell that may be solid (infinity: none), and its instance (0: none)."""
-        if self._scene is None or len(rays) == 0:
+        if self._surface is None or len(rays) == 0:
             return np.full(len(rays), np.inf, np.float32), np.zeros(len(rays), np.uint8)
-        hits = self._scene.cast_rays(o3d.core.Tensor.from_numpy(np.ascontiguousarray(rays)))
-        i_face = np.minimum(hits["primitive_ids"].numpy(), np.uint32(len(self._face_label) - 1))
-        return hits["t_hit"].numpy(), self._face_label[i_face]
+        hits = self._surface.cast(np.ascontiguousarray(rays))
+        i_face = np.minimum(hits.triangle, np.uint32(len(self._face_label) - 1))
+        return hits.distance, self._face_label[i_face]
 
     def holds(self, points_world: Float32[ndarray, "n 3"]) -> UInt8[ndarray, "n"]:
         """The instance in whose hull, or within reach of it, a point lies that was not seen through; 0: none."""

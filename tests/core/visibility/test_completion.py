@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bask_data.core.completion import Completion
-from bask_data.core.masks import Surface, ray_directions, visible_instances, world_rays
+from bask_data.core.visibility.completion import Completion
+from bask_data.core.visibility.labelled import LabelledSurface
+from bask_data.core.visibility.surface import ray_directions, world_rays
+from bask_data.core.visibility.visible import visible_instances
 from tests.meshes import block, joined, sheet
 from tests.scenes import Box, Plane, Scene, View, intrinsics, look_at, orbit
 
@@ -74,7 +76,7 @@ CAMERAS = orbit(10, radius=0.5, elevation_deg=(20.0, 50.0))
 
 def test_a_hole_nothing_was_measured_through_is_filled_and_marked() -> None:
     vertices, triangles, labels = box_with_a_hole()
-    surface = Surface(vertices, triangles, labels, 1)
+    surface = LabelledSurface(vertices, triangles, labels, 1)
     views = [SOLID.render(K, camera, HEIGHT, WIDTH) for camera in CAMERAS]
     depths = [silent_hole(view) for view in views]
     completion = carved(vertices, labels, depths, CAMERAS)
@@ -94,7 +96,13 @@ def test_depth_measured_in_a_hole_of_the_mesh_is_the_objects() -> None:
     completion = carved(vertices, labels, [], CAMERAS[:0])
     view = SOLID.render(K, CAMERA, HEIGHT, WIDTH)
     frame = visible_instances(
-        Surface(vertices, triangles, labels, 1), view.depth, DIRECTIONS, K, CAMERA, TOLERANCE, completion=completion
+        LabelledSurface(vertices, triangles, labels, 1),
+        view.depth,
+        DIRECTIONS,
+        K,
+        CAMERA,
+        TOLERANCE,
+        completion=completion,
     )
     assert (frame.instance[view.instance == 1] == 1).mean() > 0.995
     assert frame.measured.all()
@@ -106,7 +114,7 @@ def test_the_hole_of_a_handle_stays_open_where_the_table_was_measured_through_it
     vertices, triangles, labels = handle()
     views = [FRAME.render(K, camera, HEIGHT, WIDTH) for camera in CAMERAS]
     completion = carved(vertices, labels, [view.depth for view in views], CAMERAS)
-    surface = Surface(vertices, triangles, labels, 1)
+    surface = LabelledSurface(vertices, triangles, labels, 1)
     view = FRAME.render(K, CAMERA, HEIGHT, WIDTH)
     depth = view.depth if measured_here else np.zeros_like(view.depth)
     bare = visible_instances(surface, depth, DIRECTIONS, K, CAMERA, TOLERANCE)
