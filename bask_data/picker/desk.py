@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from bask_data.errors import UsageError
 from bask_data.picker.draft import Draft, KeypointMark
 from bask_data.picker.gallery import FrameName, Gallery
+from bask_data.picker.jobs import Cancelled, Jobs
 from bask_data.picker.requests import (
     EditRequest,
     EmptyRequest,
@@ -45,12 +46,18 @@ class Desk:
         self.gallery, self.draft, self.title = gallery, draft, title
         self._propose, self._save = propose, save
         self._saved: tuple[KeypointMark, ...] | None = None
+        self.jobs = Jobs()
         self._editing = threading.Lock()
         self._descriptors: dict[KeypointMark, torch.Tensor] = {}
 
     def start(self, request: EmptyRequest) -> dict[str, Any]:
         """What a page needs that has just been opened."""
-        return {"title": self.title, "recordings": self.gallery.listed(), **self.state()}
+        return {
+            "title": self.title,
+            "recordings": self.gallery.listed(),
+            "job": self.jobs.state(),
+            **self.state(),
+        }
 
     def state(self) -> dict[str, Any]:
         """The draft."""
@@ -153,21 +160,34 @@ class Desk:
         return self.gallery.descriptor_at(frame_of(mark), mark.u, mark.v) if known is None else known
 
     def propose(self, request: ProposalRequest) -> dict[str, Any]:
-        """Add keypoints chosen automatically, as one step."""
-        proposed = self._propose(request.scene, request.n)
+        """Add keypoints chosen automatically, as one step; none if it is cancelled meanwhile."""
+        try:
+            with self.jobs.running("propose", can_cancel=True):
+                proposed = self._propose(request.scene, request.n)
+        except Cancelled:
+            return {"is_cancelled": True, **self.state()}
         with self._editing:
             self.draft.add(proposed)
-            return self.state()
+            return {"is_cancelled": False, **self.state()}
 
     def save(self, request: EmptyRequest) -> dict[str, Any]:
         """Make the artifact of the draft's keypoints."""
-        with self._editing:
+        with self.jobs.running("save", can_cancel=False), self._editing:
             marks = self.draft.marks
             if not marks:
                 raise UsageError("save", "", expected="a keypoint", got="none", fix="click on one first.")
             told, following = self._save(marks)
             self._saved = marks
             return {"told": told, "next": following, **self.state()}
+
+    def progress(self, request: EmptyRequest) -> dict[str, Any]:
+        """How far the job is that runs."""
+        return {"job": self.jobs.state()}
+
+    def cancel(self, request: EmptyRequest) -> dict[str, Any]:
+        """End the job that runs, if it can be cancelled."""
+        self.jobs.cancel()
+        return self.progress(request)
 
 
 def frame_of(mark: KeypointMark) -> FrameName:

@@ -102,7 +102,7 @@ def application(desk: Desk, hosts: frozenset[str], token: str, close: Callable[[
         close()
         return JSONResponse({"closed": True}, headers=HEADERS)
 
-    names = ("start", "edit", "describe", "picture", "heat", "matches", "propose", "save")
+    names = ("start", "edit", "describe", "picture", "heat", "matches", "propose", "save", "progress", "cancel")
     routes = [Route("/", page), Route("/api/close", end, methods=["POST"])]
     routes += [Route(f"/api/{name}", _answering(getattr(desk, name)), methods=["POST"]) for name in names]
     app: Starlette = Starlette(routes=routes)
@@ -190,7 +190,10 @@ def serve(desk: Desk, port: int, *, opened: Callable[[str], None]) -> None:
     server = uvicorn.Server(config)
     with listening:
         opened(f"http://{LOOPBACK}:{port}/?token={token}")
-        server.run(sockets=[listening])
+        try:
+            server.run(sockets=[listening])
+        finally:
+            desk.jobs.cancel()  # Nobody waits for it any more.
 
 
 def listen(port: int) -> socket.socket:

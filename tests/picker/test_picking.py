@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ from bask_data.picker import Picking, pick_keypoints
 from bask_data.picker.desk import Desk
 from bask_data.picker.requests import EditRequest, EmptyRequest, FramePixel
 from bask_data.pipeline import STAGES
+from bask_data.progress import listen
 from bask_data.stages.reference import reference
 from tests.picker.pickable import frame, pickable_dataset
 from tests.picker.serving import Served
@@ -137,6 +140,35 @@ def test_proposals_are_a_start_if_they_are_wanted(dataset) -> None:
     assert [pick.instance for pick in kept.picks] == [1, 2]
     assert kept.manifest.params["auto"] is False
     assert np.isfinite([pick.point_world for pick in kept.picks]).all()
+
+
+@pytest.mark.parametrize(("job", "label"), [("propose", "choosing keypoints"), ("save", "describing keypoints")])
+def test_proposing_and_saving_tell_their_steps(dataset, job: str, label: str) -> None:
+    reached, looked_at = threading.Event(), threading.Event()
+
+    def held(at: str, done: int, total: int | None) -> None:
+        if at == label and done == 2:
+            reached.set()
+            assert looked_at.wait(60)
+
+    with Page(dataset) as page, ThreadPoolExecutor() as executor:
+        for u in (40.0, 50.0, 60.0):
+            click(page, u=u)
+        listen(held)
+        try:
+            working = executor.submit(page.ask, job, **({"scene": "b", "n": 3} if job == "propose" else {}))
+            assert reached.wait(60)
+            state = page.told("progress")["job"]
+            assert (state["name"], state["label"], state["done"]) == (job, label, 1)
+            assert state["can_cancel"] == (job == "propose")
+            page.told("cancel")
+        finally:
+            listen(None)
+            looked_at.set()
+        status, text = working.result(60)
+    assert status == 200
+    assert json.loads(text).get("is_cancelled", False) == (job == "propose")
+    assert dataset.path(ReferenceKeypoints).exists() == (job == "save")
 
 
 def test_two_pages_at_once_are_refused(dataset) -> None:

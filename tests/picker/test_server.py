@@ -5,7 +5,9 @@ import http.client
 import json
 import struct
 import sys
+import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ from bask_data.picker.desk import Desk
 from bask_data.picker.draft import Draft, KeypointMark
 from bask_data.picker.gallery import Gallery
 from bask_data.picker.server import MOST_BYTES, listen, serve
+from bask_data.progress import progress
 from tests.picker.pickable import HEIGHT, WIDTH, frame, pickable_dataset, recordings_of, untrained
 from tests.picker.serving import Served
 
@@ -110,6 +113,11 @@ HOSTILE = {
     "program for an origin by https": ("POST", "/api/start", {"Origin": "https://{host}", "X-Token": "{token}"}),
     "program of a sandboxed frame": ("POST", "/api/start", {"Origin": "null", "X-Token": "{token}"}),
     "program without an origin": ("POST", "/api/start", {"X-Token": "{token}"}),
+    "progress without token": ("POST", "/api/progress", {"Origin": "http://127.0.0.1:{port}"}),
+    "progress for another origin": ("POST", "/api/progress", {"Origin": "http://evil.example", "X-Token": "{token}"}),
+    "cancelling without token": ("POST", "/api/cancel", {"Origin": "http://127.0.0.1:{port}"}),
+    "cancelling for another origin": ("POST", "/api/cancel", {"Origin": "http://evil.example", "X-Token": "{token}"}),
+    "cancelling by a form of another page": ("POST", "/api/cancel?token={token}", {"Origin": "http://evil.example"}),
     "program under another host": (
         "POST",
         "/api/start",
@@ -168,6 +176,7 @@ def test_a_request_that_nothing_is_wrong_with_is_answered(served) -> None:
         "/api/_place",
         "/api/__init__",
         "/api/state",
+        "/api/jobs",
         "/docs",
     ],
 )
@@ -232,6 +241,8 @@ def test_large_bodies_are_refused_whether_they_say_so_or_not(served) -> None:
         ("describe", b'{"frame": ["a"]}', "frame"),
         ("matches", json.dumps({"frames": [["a", "wrist", 0]] * 25}).encode(), "frames: expected "),
         ("propose", b'{"scene": "a", "n": 1000}', "n: expected less than or equal to 64"),
+        ("progress", b'{"of": "propose"}', "of: expected no field of that name"),
+        ("cancel", b'{"all": true}', "all: expected no field of that name"),
         ("save", b"{}", "save: expected a keypoint, got none.  fix: click on one first."),
     ],
 )
@@ -324,6 +335,43 @@ def test_proposals_are_one_step(served) -> None:
     found = served.told("propose", scene="a", n=3)
     assert [mark["name"] for mark in found["marks"]] == ["object_1_0", "object_1_0_2", "object_1_0_3"]
     assert served.told("edit", do="undo")["marks"] == []
+
+
+def test_proposing_tells_how_far_it_is_refuses_a_second_job_and_can_be_cancelled(served, monkeypatch) -> None:
+    stepping, reached = threading.Event(), threading.Event()
+
+    def slow(scene: str, n: int) -> list[KeypointMark]:
+        for i in progress(range(n), "choosing keypoints"):
+            reached.set()
+            if i == 2:
+                assert stepping.wait(30)
+        raise AssertionError("it goes on after it was cancelled")
+
+    monkeypatch.setattr(served.desk, "_propose", slow)
+    assert served.told("progress") == {"job": None}
+    with ThreadPoolExecutor() as executor:
+        proposing = executor.submit(served.told, "propose", scene="a", n=8)
+        assert reached.wait(30)
+        while (job := served.told("progress")["job"])["done"] < 2:
+            pass
+        assert (job["name"], job["label"], job["total"], job["can_cancel"]) == (
+            "propose",
+            "choosing keypoints",
+            8,
+            True,
+        )
+        assert job["seconds"] >= 0 and job["seconds_left"] >= 0
+        assert served.told("start")["job"]["name"] == "propose"
+        # Work on the draft goes on meanwhile.
+        served.told("edit", do="add", at=AT)
+        for name, body in (("propose", {"scene": "a", "n": 1}), ("save", {})):
+            status, text = served.ask(name, **body)
+            assert (status, f"{name}: expected no other job, got propose" in text.decode()) == (400, True)
+        assert served.told("cancel")["job"]["is_cancelled"]
+        stepping.set()
+        answer = proposing.result(30)
+    assert (answer["is_cancelled"], len(answer["marks"])) == (True, 1)
+    assert served.told("progress") == {"job": None}
 
 
 def test_saving_says_what_it_made_and_a_change_after_it_is_unsaved(served) -> None:
