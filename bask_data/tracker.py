@@ -13,14 +13,15 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bask_data.core.bayes_filter import Belief, Motion, Observation, ParticleSettings, Settings, step
-from bask_data.core.belief_arrays import from_arrays, to_arrays
+from bask_data.core.filters.belief_arrays import from_arrays, to_arrays
+from bask_data.core.filters.observation import Motion, Observation, PixelMaps, WeightedPoints, fitted
+from bask_data.core.filters.step import step
+from bask_data.core.filters.table import DEFAULT, FilterSettings, filter_of, settings_named
 from bask_data.core.geometry import rigid_fault, scale_pixels
-from bask_data.core.heatmap import fitted
 from bask_data.errors import BadData
 from bask_data.kinds import Camera, DescriptorNet, ReferenceKeypoints
 
@@ -79,7 +80,7 @@ def moment_of(cameras: Iterable[Camera], i_frame: int) -> Moment:
 
 
 @dataclass(frozen=True)
-class Look:
+class FrameObservations:
     """What the cameras say of the keypoints in one frame.
 
     Attributes:
@@ -98,7 +99,7 @@ class KeypointTracker:
         self,
         descriptor: DescriptorNet | DescriptorNetwork | Path | str,
         reference: ReferenceKeypoints | Path | str,
-        settings: Settings | None = None,
+        settings: FilterSettings | None = None,
         seed: int = 0,
         device: torch.device | str | None = None,
         cameras: Sequence[str] | None = None,
@@ -108,7 +109,7 @@ class KeypointTracker:
         Args:
             descriptor: of a dataset, `ROOT/descriptor/main`.
             reference: of a dataset, `ROOT/reference/main`.
-            settings: of a filter, which their type tells; `core.bayes_filter.settings_named` knows some. Default: the
+            settings: of a filter, which their type tells; `core.filters.table.settings_named` knows some. Default: the
                 particle filter's.
             device: of the network. Default: the GPU where there is one.
             cameras: names in the order the filter takes them. Default: as they come, those of one step by name.
@@ -124,7 +125,7 @@ class KeypointTracker:
         self.names = tuple(reference.names)
         self._network = network if device is None else network.to(device)
         self._references = _fitting(reference, self._network)
-        self._settings, self._seed, self._given = settings or ParticleSettings(), seed, tuple(cameras or ())
+        self._settings, self._seed, self._given = settings or settings_named(DEFAULT), seed, tuple(cameras or ())
         self.reset()
 
     def reset(self) -> None:
@@ -136,7 +137,7 @@ class KeypointTracker:
         """Steps done."""
         self.cameras = list(self._given)
         """Names of the cameras so far."""
-        self.belief: Belief | None = None
+        self.belief: Any = None
         """What the filter knows."""
         self.observations: dict[str, Observation] = {}
         """By camera, what the last step was told."""
@@ -177,7 +178,7 @@ class KeypointTracker:
         intrinsics: Mapping[str, np.ndarray],
         world_from_cameras: Mapping[str, np.ndarray],
         described: Described | None = None,
-    ) -> Look:
+    ) -> FrameObservations:
         """The first half of a step, which needs the network but nothing of the frames before.
 
         Args:
@@ -191,7 +192,7 @@ class KeypointTracker:
         for name, image in images.items():
             _check(name, image, depths.get(name), K.get(name), poses.get(name))
         distances = self._distances(self.describe(images) if described is None else described)
-        return Look(
+        return FrameObservations(
             observations={
                 name: fitted(
                     Observation(
@@ -206,7 +207,7 @@ class KeypointTracker:
             sizes={name: (image.shape[0], image.shape[1]) for name, image in images.items()},
         )
 
-    def update(self, look: Look, world_from_gripper: np.ndarray | None = None) -> Keypoints:
+    def update(self, look: FrameObservations, world_from_gripper: np.ndarray | None = None) -> Keypoints:
         """The second half of a step, which needs the belief but not the network.
 
         Raises:
@@ -240,6 +241,12 @@ class KeypointTracker:
             pixel=pixel,
             observed={name: estimate.observed[i] for i, name in enumerate(self.cameras)},
         )
+
+    def hypotheses(self) -> WeightedPoints | PixelMaps:
+        """What the filter believes after the last step, not only the mean of it; maps are in the order of `cameras`."""
+        seen = [self.observations.get(name) for name in self.cameras]
+        found: WeightedPoints | PixelMaps = filter_of(self._settings).hypotheses(self.belief, seen, self._settings)
+        return found
 
     def save(self, file: Path | str) -> None:
         """Write all that the next step depends on; a kill leaves the file as it was or as it becomes."""

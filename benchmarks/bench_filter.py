@@ -12,8 +12,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from bask_data.core.heatmap import Observation
-from bask_data.core.particle_filter import ParticleBelief, ParticleSettings, particle_step
+from bask_data.core.filters.observation import Observation
+from bask_data.core.filters.particle import particle_step
+from bask_data.core.filters.particle.belief import ParticleBelief
+from bask_data.core.filters.particle.settings import ParticleSettings
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings, distance_maps, maps_of_cells
 
 SIZE, N_KEYPOINTS, DIMENSION = 256, 16, 64

@@ -19,7 +19,9 @@ from typing import Any
 import numpy as np
 from accuracy import BUILD, REPOSITORY, TASKS, bask_data
 
-from bask_data.core.bayes_filter import Motion, Observation, Settings, settings_named, step
+from bask_data.core.filters.observation import Motion, Observation
+from bask_data.core.filters.step import step
+from bask_data.core.filters.table import FILTERS, FilterSettings, settings_named
 from bask_data.core.geometry import in_image, invert_rigid, pixel_grid, project, transform, unproject
 from bask_data.dataset import Dataset
 from bask_data.kinds import Demonstration, Truth
@@ -38,10 +40,8 @@ STILL = 0.003
 """Metres: an object that has moved less stands still."""
 BACK_WITHIN, LONG_OUT, REGAINED = 5, 50, 0.02
 """Frames after its return by which a keypoint must be right again; frames out of view that count as long; metres."""
-FILTERS: dict[str, Settings] = {
-    "particle": settings_named("particle"),
-    "discrete": settings_named("discrete"),
-    "expectation": settings_named("expectation"),
+COMPARED: dict[str, FilterSettings] = {
+    **{name: settings_named(name) for name in reversed(FILTERS)},
     "particle as in the paper": settings_named("particle", "paper"),
     "particle as in its code": settings_named("particle", "code"),
     "discrete as in the paper": settings_named("discrete", "paper"),
@@ -188,7 +188,7 @@ def moved_since_seen(track: Track) -> np.ndarray:
     return moved
 
 
-def followed(recorded: Recorded, filters: dict[str, Settings], seed: int) -> dict[str, Track]:
+def followed(recorded: Recorded, filters: dict[str, FilterSettings], seed: int) -> dict[str, Track]:
     """Each filter's track of a demonstration; frames are read once."""
     keypoints = picked(recorded, np.random.default_rng(seed))
     place = recorded.places(keypoints)
@@ -265,7 +265,7 @@ def _between(start: np.ndarray, end: np.ndarray, n: int) -> Iterator[np.ndarray]
     return (start + (end - start) * share for share in np.linspace(0, 1, n, endpoint=False))
 
 
-def not_confused(filters: dict[str, Settings], n_seeds: int) -> dict[str, float]:
+def not_confused(filters: dict[str, FilterSettings], n_seeds: int) -> dict[str, float]:
     """Share of the keypoints that end within 5 cm of the truth; their twins are 20 cm away."""
     right: dict[str, list[bool]] = {name: [] for name in filters}
     for seed in progress(range(n_seeds), "twins"):
@@ -321,12 +321,12 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(description="How right the filters are when descriptors are.")
     parser.add_argument("--root", type=Path, default=ROOT, help="dataset with simulated demonstrations")
     parser.add_argument("--only", default="", help="demonstrations, by commas; all by default")
-    parser.add_argument("--filters", default=",".join(FILTERS), help="by commas")
+    parser.add_argument("--filters", default=",".join(COMPARED), help="by commas")
     parser.add_argument("--cameras", default="wrist,wrist+overhead", help="sets of cameras, by commas")
     parser.add_argument("--twins", type=int, default=25, help="scenes with two equal boxes; eight keypoints each")
     parser.add_argument("--json", type=Path, help="write the figures to this file, too")
     options = parser.parse_args(arguments)
-    filters = {name: FILTERS[name] for name in options.filters.split(",")}
+    filters = {name: COMPARED[name] for name in options.filters.split(",")}
     if options.root == ROOT:
         for task in TASKS:
             bask_data("ingest", "sim", ROOT, "--task", task, "--scans", 0, "--demonstrations", N_DEMONSTRATIONS)

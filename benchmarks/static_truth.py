@@ -30,9 +30,10 @@ import torch
 from xfeat import XFeat, descriptors_at, upsampled
 
 from bask_data.cli.console import shown_progress
-from bask_data.core.bayes_filter import Filter, Observation, settings_named, step
+from bask_data.core.filters.observation import Observation, fitted
+from bask_data.core.filters.step import step
+from bask_data.core.filters.table import FILTERS, settings_named
 from bask_data.core.geometry import project, transform
-from bask_data.core.heatmap import fitted
 from bask_data.core.static_truth import Visibility, visibility
 from bask_data.dataset import Dataset
 from bask_data.kinds import Camera, Demonstration
@@ -49,7 +50,6 @@ SPACING = 4
 WALK = 0.01
 """Metres a frame: colour, depth and poses of a Kinect at room scale do not agree to millimetres."""
 ALPHAS = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
-FILTERS: tuple[Filter, ...] = ("expectation", "discrete", "particle")
 STEADY, RETURNED, AWAY = 5, 5, 10
 
 
@@ -212,13 +212,13 @@ def fitted_likelihood(
 
 
 def tracked(
-    camera: Camera, cells: list[torch.Tensor], references: torch.Tensor, name: Filter, alpha: float, tau: float
+    camera: Camera, cells: list[torch.Tensor], references: torch.Tensor, name: str, alpha: float, tau: float
 ) -> np.ndarray:
     """Where a filter takes the keypoints to be (t, k, 3)."""
     # Expectations need sharper maps than filters, which see many frames; by as much as their defaults differ. The
     # particle filter believes frames by half unless told otherwise, as here, where the temperature is fitted to them.
     sharper = settings_named("expectation").alpha / settings_named("discrete").alpha
-    options: dict[Filter, dict[str, Any]] = {
+    options: dict[str, dict[str, Any]] = {
         "expectation": {"alpha": sharper * alpha},
         "discrete": {"alpha": alpha, "tau": tau},
         "particle": {"alpha": alpha, "tau": tau, "walk": WALK, "draw_sharpness": 3.0},

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import bask_data
-from bask_data.core.bayes_filter import ParticleSettings, Settings, settings_named
+from bask_data.core.filters.particle.settings import ParticleSettings
+from bask_data.core.filters.table import FilterSettings, settings_named
 from bask_data.errors import BadData
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Robot
 from bask_data.stages.encode import EncodeParams, dropped, encode
-from bask_data.tracker import Keypoints, KeypointTracker, Look
+from bask_data.tracker import FrameObservations, Keypoints, KeypointTracker
 from tests.tracked import N_FRAMES, ColourNetwork, dataset_of, keypoints, poses, side_poses
 
 FILTERS = ("expectation", "discrete", "particle")
@@ -42,7 +43,7 @@ def reference(dataset) -> ReferenceKeypoints:
     return ReferenceKeypoints(dataset.path(ReferenceKeypoints))
 
 
-def settings_of(filter: str) -> Settings:
+def settings_of(filter: str) -> FilterSettings:
     return settings_named(filter, n_particles=200) if filter == "particle" else settings_named(filter)
 
 
@@ -198,7 +199,7 @@ def test_a_gripper_that_is_nowhere_is_refused_and_changes_nothing(
     for one in (tracker, other):
         stepped(one, demonstration, 0, ["wrist"])
     with pytest.raises(ValueError, match=f"world_from_gripper: expected a rigid transform .4, 4., got {got}"):
-        tracker.update(Look({}, {}), gripper)
+        tracker.update(FrameObservations({}, {}), gripper)
     same(stepped(tracker, demonstration, 1, ["wrist"]), stepped(other, demonstration, 1, ["wrist"]))
 
 

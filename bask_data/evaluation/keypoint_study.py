@@ -2,14 +2,14 @@
 
 The study of von Hartz et al. 2023, Sec. IV-A: distance of each keypoint to where it truly is, and between mean and
 mode of what is believed of it, over time, by what the cameras see, for networks beside each other and with the belief
-of single frames, of the discrete and of the particle filter.
+of single frames and of each filter over time.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -34,7 +34,7 @@ from bask_data.tracker import Keypoints, KeypointTracker, moment_of
 if TYPE_CHECKING:
     import numpy as np
 
-    from bask_data.core.bayes_filter import Named, Settings
+    from bask_data.core.filters.table import FilterSettings, SettingsName
     from bask_data.core.keypoint_scores import Sighting
     from bask_data.nn.network import DescriptorNetwork
 
@@ -57,14 +57,14 @@ class Method:
 
     variant: str
     belief: str
-    settings: Settings
+    settings: FilterSettings
 
     @property
     def name(self) -> str:
         return f"{self.variant}: {self.belief}"
 
 
-def methods_of(units: Mapping[str, float], settings: Named) -> list[Method]:
+def methods_of(units: Mapping[str, float], settings: SettingsName) -> list[Method]:
     """What is compared: all beliefs with the first network, that of single frames with the others.
 
     Args:
@@ -73,20 +73,23 @@ def methods_of(units: Mapping[str, float], settings: Named) -> list[Method]:
             are small would be said to know nothing.
         settings: preset of all filters.
     """
-    from bask_data.core.bayes_filter import settings_named
-
-    def single(variant: str, alpha: float | None = None) -> Settings:
-        found = settings_named("expectation", settings, alpha=alpha)
-        return replace(found, alpha=found.alpha / units[variant])
+    from bask_data.core.filters.table import FILTERS, alpha_of_one_frame, filter_named, settings_named
 
     first, *others = units
-    return [
-        *(Method(variant, "expectation", single(variant)) for variant in reversed(others)),
-        Method(first, "expectation, no temperature", single(first, alpha=1.0)),
-        Method(first, "expectation", single(first)),
-        Method(first, "discrete", settings_named("discrete", settings)),
-        Method(first, "particle", settings_named("particle", settings)),
-    ]
+    found = []
+    for name in FILTERS:
+        if not filter_named(name).by_single_frames:
+            found.append(Method(first, name, settings_named(name, settings)))
+            continue
+        alpha = alpha_of_one_frame(name, settings) or 1.0
+        temperatures = {variant: settings_named(name, settings, alpha=alpha / units[variant]) for variant in units}
+        none = settings_named(name, settings, alpha=1.0 / units[first])
+        found += [
+            *(Method(variant, name, temperatures[variant]) for variant in reversed(others)),
+            Method(first, f"{name}, no temperature", none),
+            Method(first, name, temperatures[first]),
+        ]
+    return found
 
 
 @dataclass
@@ -124,7 +127,7 @@ def evaluated_keypoints(
     reference: str = "",
     pick_in: Sequence[str] = (),
     n_keypoints: int = 16,
-    settings: Named = "default",
+    settings: SettingsName = "default",
     seed: int = 0,
 ) -> dict[str, Any]:
     """The study's figures as plain JSON values: of each set of objects, of each method.

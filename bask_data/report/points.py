@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import get_args
 
 import numpy as np
 
-from bask_data.core.bayes_filter import Filter, settings_named
+from bask_data.core.filters.heatmap import softmax_map
+from bask_data.core.filters.table import alpha_of_one_frame
 from bask_data.core.geometry import in_image, scale_pixels
-from bask_data.core.heatmap import softmax_map
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
 from bask_data.evaluation.held_out import learned_scenes
@@ -255,15 +254,13 @@ def _tracks(dataset: Dataset, variant: str) -> list[KeypointTrack]:
 def temperature(dataset: Dataset, variant: str, descriptor: DescriptorNet) -> float:
     """alpha of the heat maps softmax(-alpha z): that of the tracks made of the variant, or else of its training.
 
-    The particle filter's own belongs to many frames together, not to one.
+    That of a filter which is made for many frames together does not count, unless it was asked for.
     """
     for track in _tracks(dataset, variant):
         params = track.manifest.params
-        is_of_one_frame = track.metadata.filter != "particle" or params.get("alpha")
-        if track.metadata.filter in get_args(Filter) and is_of_one_frame:
-            return settings_named(
-                track.metadata.filter, params.get("settings", "default"), alpha=params.get("alpha")
-            ).alpha
+        alpha = alpha_of_one_frame(track.metadata.filter, params.get("settings", "default"), params.get("alpha"))
+        if alpha is not None:
+            return alpha
     params = descriptor.manifest.params
     # Only a network that was trained on heat maps knows one.
     return float(params.get("alpha") or ALPHA) if params.get("loss") == "infonce" else ALPHA

@@ -8,13 +8,14 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import fields
 from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeVar
 
 from pydantic import Field, field_validator
 
+from bask_data.core.filters.table import DEFAULT, FILTERS, FilterSettings, SettingsName, filter_named, settings_named
 from bask_data.engine import Params, progress, stage
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Camera, Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Truth
@@ -23,9 +24,12 @@ from bask_data.progress import tell
 if TYPE_CHECKING:
     import numpy as np
 
-    from bask_data.core.bayes_filter import Settings
     from bask_data.kinds.keypoints import KeypointsWriter
     from bask_data.tracker import Described, Keypoints, KeypointTracker, Moment
+
+    FilterName = str
+else:
+    FilterName = Literal[tuple(FILTERS)]
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -42,7 +46,12 @@ enough for any size of image."""
 
 
 class EncodeParams(Params):
-    """Where keypoints come from, the filter and its settings."""
+    """Where keypoints come from, the filter and its settings.
+
+    A field of the name of a filter's setting is that setting; it does not matter to a filter that has none of the name.
+    A field that is added for a further filter is None by default and left out of the dump while it is (pydantic's
+    `exclude_if`): the skip keys of all tracks made without it stay as they are.
+    """
 
     source: Literal["network", "truth"] = Field(
         "network",
@@ -50,12 +59,10 @@ class EncodeParams(Params):
         "knows them to be; no filter is used.",
     )
     cameras: tuple[str, ...] = Field((), description="Cameras to use. Default: all of the demonstration.")
-    filter: Literal["expectation", "discrete", "particle"] = Field(
-        "particle",
-        description="expectation: each frame by itself. discrete: belief over pixels. particle: belief over 3D points, "
-        "which remembers what is hidden or out of view.",
+    filter: FilterName = Field(
+        DEFAULT, description=" ".join(f"{name}: {entry.help}" for name, entry in FILTERS.items())
     )
-    settings: Literal["default", "paper", "code"] = Field(
+    settings: SettingsName = Field(
         "default",
         description="Values of all of the filter's settings: our own, the paper's, or those of its authors' code. The "
         "options below take precedence.",
@@ -174,14 +181,12 @@ def cameras_of(demonstration: Demonstration, wanted: tuple[str, ...] = ()) -> li
     return cameras
 
 
-def settings_of(params: EncodeParams) -> Settings:
+def settings_of(params: EncodeParams) -> FilterSettings:
     """The settings of the chosen filter; those of the others do not matter."""
-    from bask_data.core.bayes_filter import settings_named
-
-    names = asdict(settings_named(params.filter, params.settings))
-    given = {**params.model_dump(), "grid": params.grid or None}
-    chosen = {name: value for name, value in given.items() if name in names}
-    return settings_named(params.filter, params.settings, **chosen)
+    names = {field.name for field in fields(filter_named(params.filter).settings)}
+    # An option that takes several values has none of them where it was not given.
+    given = {name: None if value == () else value for name, value in params.model_dump().items() if name in names}
+    return settings_named(params.filter, params.settings, **given)
 
 
 def grippers_of(demonstration: Demonstration, n_frames: int) -> np.ndarray | None:

@@ -10,11 +10,9 @@ from itertools import compress
 
 import numpy as np
 
-from bask_data.core.bayes_filter import Estimate
-from bask_data.core.discrete_filter import DiscreteBelief
+from bask_data.core.filters.observation import Observation, WeightedPoints, pixels_of
+from bask_data.core.filters.particle.resample import stratified
 from bask_data.core.geometry import scale_pixels
-from bask_data.core.heatmap import Observation, pixels_of, softmax_map
-from bask_data.core.particle_filter import ParticleBelief, stratified
 from bask_data.dataset import Dataset
 from bask_data.drawing.pictures import heat_picture, palette
 from bask_data.kinds import Camera, Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints
@@ -54,7 +52,7 @@ def draw_beliefs(sheet: Sheet, drawn: Drawn, dataset: Dataset, demonstration: De
             if i_frame % choice.every == 0:
                 time = cameras[0].time
                 with sheet.at(frame=i_frame, seconds=float(time[i_frame] - time[0])):
-                    _draw(sheet, drawn, tracker, cameras, i_frame, settings_of(params).alpha)
+                    _draw(sheet, drawn, tracker, cameras, i_frame)
     drawn.note(is_same, "beliefs", "tracked again, keypoints are elsewhere: bask-data encode --force")
 
 
@@ -69,23 +67,20 @@ def _tracker(dataset: Dataset, track: KeypointTrack, variant: str) -> tuple[Keyp
     return KeypointTracker(descriptor, reference, settings_of(params), params.seed, cameras=track.camera_names), params
 
 
-def _draw(
-    sheet: Sheet, drawn: Drawn, tracker: KeypointTracker, cameras: Sequence[Camera], i_frame: int, alpha: float
-) -> None:
-    belief = tracker.belief
-    if isinstance(belief, ParticleBelief):
+def _draw(sheet: Sheet, drawn: Drawn, tracker: KeypointTracker, cameras: Sequence[Camera], i_frame: int) -> None:
+    if tracker.belief is None:
+        return
+    belief = tracker.hypotheses()
+    if isinstance(belief, WeightedPoints):
         drawn.layers.add("particles")
         _draw_particles(sheet, belief, tracker, cameras)
-    elif isinstance(belief, DiscreteBelief):
-        for name, one in zip(tracker.cameras, belief.cameras, strict=True):
-            if one is not None:
-                _draw_maps(sheet, drawn, tracker, cameras, name, one.inside, i_frame)
-    elif isinstance(belief, Estimate):
-        for name, seen in tracker.observations.items():
-            _draw_maps(sheet, drawn, tracker, cameras, name, softmax_map(seen.distance, alpha)[0], i_frame)
+        return
+    for name, maps in zip(tracker.cameras, belief.maps, strict=True):
+        if maps is not None:
+            _draw_maps(sheet, drawn, tracker, cameras, name, maps, i_frame)
 
 
-def _draw_particles(sheet: Sheet, belief: ParticleBelief, tracker: KeypointTracker, cameras: Sequence[Camera]) -> None:
+def _draw_particles(sheet: Sheet, belief: WeightedPoints, tracker: KeypointTracker, cameras: Sequence[Camera]) -> None:
     """Some particles of each keypoint, as many of them in a place as there is weight, in space and in the images."""
     import rerun as rr
 

@@ -12,14 +12,15 @@ import pytest
 
 from bask_data import progress
 from bask_data.artifact import read_manifest
-from bask_data.core.bayes_filter import DiscreteSettings, ParticleSettings
+from bask_data.core.filters.discrete import DiscreteSettings
+from bask_data.core.filters.particle.settings import ParticleSettings
 from bask_data.core.geometry import project
 from bask_data.dataset import Dataset
 from bask_data.engine import make, plan, state_of
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Robot, Truth, arrays
 from bask_data.kinds.truth import TruthMetadata
 from bask_data.stages.encode import EncodeParams, _beside, encode, settings_of
-from bask_data.tracker import Keypoints, KeypointTracker, Look
+from bask_data.tracker import FrameObservations, Keypoints, KeypointTracker
 from tests.datasets import publish_artifact
 from tests.threads import no_garbage_collector, threads_named
 from tests.tracked import (
@@ -349,7 +350,9 @@ def test_memory_does_not_grow_with_the_length(
         images.append(weakref.ref(maps))
         return maps
 
-    def watched_update(self: KeypointTracker, look: Look, world_from_gripper: np.ndarray | None = None) -> Keypoints:
+    def watched_update(
+        self: KeypointTracker, look: FrameObservations, world_from_gripper: np.ndarray | None = None
+    ) -> Keypoints:
         found = update(self, look, world_from_gripper)
         rows.append(weakref.ref(found.covariance))
         for name, kept in (("images", images), ("rows", rows)):

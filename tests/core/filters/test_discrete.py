@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bask_data.core.discrete_filter import CameraBelief, DiscreteSettings, carry, discrete_step, predict
-from bask_data.core.heatmap import Motion, Observation
+from bask_data.core.filters.discrete import CameraBelief, DiscreteSettings, carry, discrete_step, predict
+from bask_data.core.filters.observation import Motion, Observation
 
 SMALL_K = np.array([[4.0, 0, 1.0], [0, 4.0, 1.0], [0, 0, 1]])
 

@@ -2,20 +2,19 @@ from __future__ import annotations
 
 import inspect
 import math
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bask_data.core.bayes_filter import (
-    DiscreteSettings,
-    ExpectationSettings,
-    Observation,
-    ParticleSettings,
-    Settings,
-    settings_named,
-    step,
-)
+from bask_data.core.filters.discrete import DiscreteSettings
+from bask_data.core.filters.expectation import ExpectationSettings
+from bask_data.core.filters.observation import Observation
+from bask_data.core.filters.particle.settings import ParticleSettings
+from bask_data.core.filters.step import step
+from bask_data.core.filters.table import FilterSettings, alpha_of_one_frame, filter_named, settings_named
 
 K = np.array([[60.0, 0, 19.5], [0, 60.0, 14.5], [0, 0, 1]])
 PLACES = np.array([[0.05, 0.02, 1.0], [-0.1, -0.05, 1.0]])
@@ -34,7 +33,7 @@ def wall(x: float = 0.0) -> Observation:
 
 
 @pytest.mark.parametrize("settings", ALL)
-def test_a_camera_without_a_frame_leaves_everything_to_the_other(settings: Settings) -> None:
+def test_a_camera_without_a_frame_leaves_everything_to_the_other(settings: FilterSettings) -> None:
     rng, alone = np.random.default_rng(0), np.random.default_rng(0)
     belief = single = None
     for _ in range(6):
@@ -50,7 +49,7 @@ def test_a_camera_without_a_frame_leaves_everything_to_the_other(settings: Setti
 
 
 @pytest.mark.parametrize("settings", ALL)
-def test_cameras_may_come_and_go(settings: Settings) -> None:
+def test_cameras_may_come_and_go(settings: FilterSettings) -> None:
     rng, belief = np.random.default_rng(0), None
     both = [wall(-0.1), wall(0.1)]
     for given in ([1, 0], [0, 0], [0, 1], [1, 1], [0, 0], [1, 1], [1, 0], [1, 1]):
@@ -64,7 +63,7 @@ def test_cameras_may_come_and_go(settings: Settings) -> None:
 
 
 @pytest.mark.parametrize("settings", ALL)
-def test_before_any_frame_nothing_is_known_and_the_rest_is_as_if_it_began_later(settings: Settings) -> None:
+def test_before_any_frame_nothing_is_known_and_the_rest_is_as_if_it_began_later(settings: FilterSettings) -> None:
     belief, estimate = step(None, [None, None], None, np.random.default_rng(0), settings, k=2)
     assert belief is None
     assert estimate.mean.shape == (2, 3)
@@ -78,7 +77,7 @@ def test_before_any_frame_nothing_is_known_and_the_rest_is_as_if_it_began_later(
 
 
 @pytest.mark.parametrize("settings", ALL)
-def test_time_without_frames_only_makes_the_belief_wider(settings: Settings) -> None:
+def test_time_without_frames_only_makes_the_belief_wider(settings: FilterSettings) -> None:
     rng, belief = np.random.default_rng(0), None
     for _ in range(8):
         belief, before = step(belief, [wall()], None, rng, settings)
@@ -120,3 +119,31 @@ def test_a_misspelt_name_is_refused(filter: str, name: str) -> None:
     expected = "expected one of expectation, discrete, particle and one of default, paper, code, got"
     with pytest.raises(ValueError, match=f"settings: {expected} {filter} and {name}"):
         inspect.unwrap(settings_named)(filter, name)  # Types are checked in tests alone.
+
+
+def test_a_filter_that_is_not_in_the_table_is_refused() -> None:
+    with pytest.raises(ValueError, match="filter: expected one of expectation, discrete, particle, got kalman"):
+        filter_named("kalman")
+
+
+@pytest.mark.parametrize(
+    ("filter", "name", "asked", "alpha"),
+    [
+        ("expectation", "default", None, 20.0),
+        ("expectation", "paper", None, 4.0),
+        ("discrete", "default", None, 4.0),
+        ("discrete", "default", 7.0, 7.0),
+        ("particle", "default", None, None),
+        ("particle", "default", 7.0, 7.0),
+        ("truth", "default", 7.0, None),
+    ],
+)
+def test_a_temperature_of_one_frame_is_not_the_particle_filters_own(
+    filter: str, name: str, asked: float | None, alpha: float | None
+) -> None:
+    assert alpha_of_one_frame(filter, name, asked) == alpha
+
+
+def test_the_table_is_read_without_numpy() -> None:
+    code = "import sys, bask_data.core.filters.table; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

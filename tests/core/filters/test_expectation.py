@@ -2,21 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
+from bask_data.core.filters.expectation import ExpectationSettings, expectation_step
+from bask_data.core.filters.heatmap import softmax_map
+from bask_data.core.filters.observation import Estimate, Observation
 from bask_data.core.geometry import transform, unproject
-from bask_data.core.heatmap import (
-    Estimate,
-    ExpectationSettings,
-    Observation,
-    expectation_step,
-    fill_depth,
-    pixels_of,
-    shrink_depth,
-    softmax_map,
-    unseen_likelihood,
-)
 
 K = np.array([[60.0, 0, 19.5], [0, 60.0, 14.5], [0, 0, 1]])
 
@@ -39,20 +29,6 @@ def somewhere() -> np.ndarray:
     world_from_camera[:3, :3] = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
     world_from_camera[:3, 3] = [0.3, -1.0, 2.0]
     return world_from_camera
-
-
-def test_heat_maps_are_the_softmax_and_their_evidence_is_the_mean_likelihood() -> None:
-    distance = np.random.default_rng(0).uniform(0, 2, (3, 5, 7)).astype(np.float32)
-    heat, log_evidence = softmax_map(distance, 4.0)
-    likelihood = np.exp(-4.0 * distance.astype(np.float64))
-    np.testing.assert_allclose(heat, likelihood / likelihood.sum((1, 2), keepdims=True), rtol=1e-5)
-    np.testing.assert_allclose(log_evidence, np.log(likelihood.mean((1, 2))), rtol=1e-5)
-
-
-def test_heat_maps_of_distances_beyond_the_range_of_exp_still_sum_to_one() -> None:
-    heat, log_evidence = softmax_map(np.full((1, 4, 4), 1e4, dtype=np.float32), 4.0)
-    np.testing.assert_allclose(heat.sum(), 1.0)
-    np.testing.assert_allclose(log_evidence, -4e4)
 
 
 def test_a_single_dip_is_found_in_the_world() -> None:
@@ -147,53 +123,8 @@ def test_distance_maps_coarser_than_depth_give_the_same_place() -> None:
     np.testing.assert_allclose(estimate.mean[0], expected, atol=1e-6)
 
 
-def test_missing_depth_is_filled_from_the_nearest_measurement() -> None:
-    depth = np.zeros((7, 9), dtype=np.float32)
-    depth[3, 1], depth[3, 7] = 1.0, 2.0
-    filled = fill_depth(depth)
-    np.testing.assert_array_equal(filled[3], [1, 1, 1, 1, filled[3, 4], 2, 2, 2, 2])
-    assert np.isnan(fill_depth(np.zeros((3, 3), dtype=np.float32))).all()
-
-
-@given(st.integers(1, 12), st.integers(1, 12), st.integers(0, 2**32 - 1))
-def test_shrunk_depths_were_all_measured_and_no_measured_block_is_empty(height: int, width: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    depth = (rng.uniform(0.5, 3, (12, 12)) * (rng.random((12, 12)) < 0.3)).astype(np.float32)
-    shrunk = shrink_depth(depth, (height, width))
-    assert shrunk.shape == (height, width)
-    assert np.isin(shrunk, np.append(depth, 0)).all()
-    assert (shrunk > 0).any() == (depth > 0).any()
-
-
-def test_shrinking_takes_the_nearer_surface_where_the_centre_has_none() -> None:
-    depth = np.array([[0, 2, 1, 1], [3, 0, 1, 1], [0, 0, 0, 0], [0, 0, 0, 7]], dtype=np.float32)
-    np.testing.assert_array_equal(shrink_depth(depth, (2, 2)), [[2, 1], [0, 7]])
-
-
-def test_pixels_of_points_behind_the_camera_are_nan() -> None:
-    observation = seen(np.zeros((1, 30, 40), dtype=np.float32), np.ones((30, 40), dtype=np.float32))
-    uv = pixels_of(np.array([[0.0, 0, 1], [0, 0, -1]]), observation)
-    np.testing.assert_allclose(uv[0], [19.5, 14.5])
-    assert np.isnan(uv[1]).all()
-
-
 def test_estimates_cannot_be_changed() -> None:
     _, estimate = expectation_step(None, [seen(bump((1, 1))[None], np.ones((30, 40), dtype=np.float32))])
     assert isinstance(estimate, Estimate)
     with pytest.raises(AttributeError):
         estimate.mean = estimate.mode  # type: ignore[misc]
-
-
-def test_the_likelihood_of_being_unseen_follows_the_background_whatever_its_distances_are() -> None:
-    rng = np.random.default_rng(0)
-    for background in (0.4, 0.8, 2.0):
-        distance = (background + 0.05 * rng.standard_normal((1, 60, 80))).astype(np.float32)
-        distance[0, 30:34, 40:44] = 0.1
-        tau = unseen_likelihood(distance, 4.0, None, 2.0)[0]
-        assert np.exp(-4 * background) < tau < np.exp(-4 * 0.1)
-        assert unseen_likelihood(distance, 4.0, 0.07, 2.0)[0] == 0.07
-
-
-def test_an_image_full_of_matches_does_not_say_the_keypoint_is_unseen() -> None:
-    tau = unseen_likelihood(np.full((1, 8, 8), 0.1, dtype=np.float32), 4.0, None, 2.0)
-    assert tau < 0.5 * np.exp(-0.4)

@@ -9,20 +9,16 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.stats import norm
 from scipy.stats.qmc import Sobol
 
-from bask_data.core.heatmap import Motion, Observation
-from bask_data.core.particle_filter import (
-    ParticleBelief,
-    ParticleSettings,
-    draw,
-    known_lookalikes,
-    look,
-    mode,
-    move,
-    new_belief,
-    particle_step,
-    refresh,
-    stratified,
-)
+from bask_data.core.filters.observation import Motion, Observation
+from bask_data.core.filters.particle import particle_step
+from bask_data.core.filters.particle.belief import ParticleBelief, new_belief
+from bask_data.core.filters.particle.draw import draw
+from bask_data.core.filters.particle.estimate import mode
+from bask_data.core.filters.particle.likelihood import frame_likelihood
+from bask_data.core.filters.particle.lookalikes import known_lookalikes
+from bask_data.core.filters.particle.motion import move
+from bask_data.core.filters.particle.resample import refresh, stratified
+from bask_data.core.filters.particle.settings import ParticleSettings
 
 HEIGHT, WIDTH = 40, 60
 K = np.array([[60.0, 0, 29.5], [0, 60.0, 19.5], [0, 0, 1]])
@@ -62,7 +58,7 @@ def even(points: np.ndarray) -> ParticleBelief:
 
 
 def likelihood(points: np.ndarray, seen: Observation, settings: ParticleSettings) -> tuple[np.ndarray, np.ndarray]:
-    found = look(points, seen, settings)
+    found = frame_likelihood(points, seen, settings)
     return found.likelihood, found.seen
 
 
@@ -397,7 +393,7 @@ def test_the_mode_is_the_heavier_of_two_clusters_wherever_the_grid_cuts_it() -> 
         heavy = rng.normal([shift, shift, 1], 0.008, (600, 3))
         light = rng.normal([0.4, 0.03, 1.03], 0.008, (400, 3))
         points = np.concatenate([heavy, light])[None]
-        found = mode(points, np.full((1, 1000), 1e-3))
+        found = mode(points, np.full((1, 1000), 1e-3), ParticleSettings().mode_radius)
         np.testing.assert_allclose(found[0], [shift, shift, 1], atol=0.003)
 
 
@@ -490,7 +486,7 @@ def test_what_matches_better_than_a_lookalike_did_is_another_thing_at_its_place(
         belief, lookalikes=np.array([[[0.5, 0.0, 1.0], [np.nan] * 3]]), lookalike_match=np.array([[0.4, 0]])
     )
     points = np.array([[[0.5, 0.01, 1.0], [0.5, 0.01, 1.0], [0.5, 0.07, 1.0], [np.nan] * 3]])
-    same = known_lookalikes(belief, points, np.array([[0.5, 0.7, 0.5, 0.5]]))
+    same = known_lookalikes(belief, points, np.array([[0.5, 0.7, 0.5, 0.5]]), ParticleSettings())
     np.testing.assert_array_equal(same, [[True, False, False, False]])
 
 
@@ -510,9 +506,9 @@ def test_out_of_sight_weighs_at_least_a_share_of_what_the_track_used_to_match() 
     settings = ParticleSettings(tau_match=0.25, tau_ratio=1e-9)
     hidden, _ = likelihood(points, seen, settings)
     assert hidden[0, 0] < 1e-6
-    usual = look(points, seen, settings, np.array([0.8]))
+    usual = frame_likelihood(points, seen, settings, np.array([0.8]))
     np.testing.assert_allclose(usual.likelihood[0, 0], 0.2, rtol=1e-6)
-    fixed = look(points, seen, replace(settings, tau=0.01), np.array([0.8]))
+    fixed = frame_likelihood(points, seen, replace(settings, tau=0.01), np.array([0.8]))
     np.testing.assert_allclose(fixed.likelihood[0, 0], 0.01, rtol=1e-6)
 
 

@@ -10,29 +10,20 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy import ndarray
 
-from bask_data.core.bayes_filter import Belief, DiscreteSettings, ExpectationSettings, ParticleSettings, Settings
-from bask_data.core.discrete_filter import DiscreteBelief
-from bask_data.core.heatmap import Estimate
-from bask_data.core.particle_filter import ParticleBelief
+from bask_data.core.filters.table import FilterSettings, filter_of
 
 _LENGTH = "n"
 """Entry of a tuple that says how long it is: what is None in it has no entries."""
 
-_BELIEFS: dict[type[Settings], type[Belief]] = {
-    ExpectationSettings: Estimate,
-    DiscreteSettings: DiscreteBelief,
-    ParticleSettings: ParticleBelief,
-}
 
-
-def to_arrays(belief: Belief | None) -> dict[str, ndarray]:
+def to_arrays(belief: Any) -> dict[str, ndarray]:
     """Everything in a belief, by its place in it; nothing of None."""
     return {} if belief is None else dict(_entries(belief, "belief"))
 
 
-def from_arrays(arrays: Mapping[str, ndarray], settings: Settings) -> Belief | None:
+def from_arrays(arrays: Mapping[str, ndarray], settings: FilterSettings) -> Any:
     """The belief of a filter with these settings that `to_arrays` gave `arrays` for."""
-    return _built(_BELIEFS[type(settings)] | None, "belief", arrays)
+    return _built(filter_of(settings).belief | None, "belief", arrays)
 
 
 def _entries(value: Any, place: str) -> Iterator[tuple[str, ndarray]]:

@@ -1,0 +1,43 @@
+"""What the particle filter knows: for each keypoint, weighted points in the world frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+
+@dataclass(frozen=True)
+class ParticleBelief:
+    """Weighted points; the weights of each keypoint sum to one."""
+
+    points_world: Float[ndarray, "k n 3"]
+    weight: Float[ndarray, "k n"]
+    held: Bool[ndarray, "k n"]
+    """Whether a particle took part in the gripper's last motion."""
+    lookalikes: Float[ndarray, "k m 3"]
+    """Places that are not the keypoint, however they match, the last found first; NaN where there are not so many."""
+    lookalike_match: Float[ndarray, "k m"]
+    """exp(-alpha z) of each."""
+    usual_match: Float[ndarray, "k"]
+    """p_d p_c of the track on average, of late, while it was seen; 0 where it never was."""
+
+
+def new_belief(
+    points_world: Float[ndarray, "k n 3"], weight: Float[ndarray, "k n"], n_lookalikes: int = 0
+) -> ParticleBelief:
+    """Particles that nothing holds, and no place that looks alike yet."""
+    k = len(points_world)
+    nowhere = np.full((k, n_lookalikes, 3), np.nan)
+    held = np.zeros(weight.shape, dtype=bool)
+    return ParticleBelief(points_world, weight, held, nowhere, np.zeros((k, n_lookalikes)), np.zeros(k))
+
+
+def normalised(log_weight: Float[ndarray, "k n"]) -> tuple[Float[ndarray, "k n"], Float[ndarray, "k"]]:
+    """Weights that sum to one, and the log of the sum they had."""
+    highest = log_weight.max(axis=1, keepdims=True)
+    weight = np.exp(log_weight - highest)
+    total = weight.sum(axis=1, keepdims=True)
+    return weight / total, (np.log(total) + highest)[:, 0]

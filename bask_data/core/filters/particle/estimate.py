@@ -1,0 +1,80 @@
+"""The estimate that weighted particles give: mean, covariance and mode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from bask_data.core.compiled import compiled
+from bask_data.core.filters.observation import Estimate, Observation, projections
+from bask_data.core.filters.particle.belief import ParticleBelief
+from bask_data.core.filters.particle.likelihood import FrameLikelihood
+from bask_data.core.filters.particle.resample import stratified
+
+N_MODES = 32
+"""Number of particles whose surroundings are weighed in search of the mode: a hypothesis with a thirtieth of the weight
+is looked at, and one with less is not the mode."""
+
+
+def estimate_of(
+    belief: ParticleBelief,
+    likelihoods: Sequence[FrameLikelihood],
+    observations: Sequence[Observation | None],
+    log_evidence: Float[ndarray, "k"],
+    mode_radius: float,
+) -> Estimate:
+    """The estimate of particles that have been weighed.
+
+    Args:
+        likelihoods: of the cameras that gave a frame, in order.
+        observations: None for a camera that gave none.
+        mode_radius: metres around the mode that count as one hypothesis.
+    """
+    points, weight = belief.points_world, belief.weight
+    mean = np.einsum("kn,kni->ki", weight, points)
+    offset = points - mean[:, None]
+    observed = np.zeros((len(observations), len(points)), dtype=bool)
+    given = [i for i, seen in enumerate(observations) if seen is not None]
+    for i, one in zip(given, likelihoods, strict=True):
+        observed[i] = np.einsum("kn,kn->k", weight, one.seen / one.likelihood) > 0.5
+    return Estimate(
+        mean=mean,
+        covariance=np.einsum("kn,kni,knj->kij", weight, offset, offset, optimize=True),
+        mode=mode(points, weight, mode_radius),
+        n_eff=1.0 / np.einsum("kn,kn->k", weight, weight),
+        log_evidence=log_evidence,
+        pixel=projections(mean, observations),
+        observed=observed,
+    )
+
+
+def mode(points: Float[ndarray, "k n 3"], weight: Float[ndarray, "k n"], radius: float) -> Float[ndarray, "k 3"]:
+    """Mean of the ball of particles that holds the most weight, among balls around every so many-th of the weight.
+
+    A histogram would be cheaper, but a cluster cut by its cells loses against a lighter one that is not.
+    """
+    some = np.stack([one[stratified(w, np.full(N_MODES, 0.5))] for one, w in zip(points, weight, strict=True)])
+    centre = some[np.arange(len(points)), _mass_around(some, points, weight, radius).argmax(axis=1)]
+    for _ in range(3):
+        away = points - centre[:, None]
+        inside = (np.einsum("kni,kni->kn", away, away) < radius**2) * weight
+        total = inside.sum(axis=1)[:, None]
+        centre = np.where(total > 0, np.einsum("kn,kni->ki", inside, points) / np.where(total > 0, total, 1.0), centre)
+    return centre
+
+
+@compiled
+def _mass_around(some: ndarray, points: ndarray, weight: ndarray, radius: float) -> ndarray:
+    """Weight of the points around each of some of them."""
+    mass = np.zeros(some.shape[:2])
+    for k in range(some.shape[0]):
+        for c in range(some.shape[1]):
+            x, y, z = some[k, c, 0], some[k, c, 1], some[k, c, 2]
+            for n in range(points.shape[1]):
+                a, b, d = points[k, n, 0] - x, points[k, n, 1] - y, points[k, n, 2] - z
+                if a * a + b * b + d * d < radius * radius:
+                    mass[k, c] += weight[k, n]
+    return mass

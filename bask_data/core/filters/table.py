@@ -1,0 +1,130 @@
+"""The table of filters: what the rest of the package knows of each, looked up by its name or by its settings.
+
+Nothing here needs NumPy, and a filter's module is loaded when it is asked for: the command line reads the names.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, Literal, get_args
+
+SettingsName = Literal["default", "paper", "code"]
+"""Our own settings, those of von Hartz et al. 2023, and those of its authors' published code."""
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """Base of the settings of every filter, whose type says which filter they are for."""
+
+
+@dataclass(frozen=True)
+class Filter:
+    """A filter, as the rest of the package sees it.
+
+    Attributes:
+        settings: class of its settings.
+        belief: class of what it knows after a frame, and all it needs to know for the next one.
+        step: `(belief, observations, motion, rng, settings) -> (belief, Estimate)`.
+        hypotheses: `(belief, observations, settings) -> WeightedPoints | PixelMaps`: the belief as a picture shows it.
+        presets: by name, the settings that differ from the defaults.
+        by_single_frames: it takes each frame by itself: the baseline of every other filter.
+        alpha_is_of_one_frame: its setting `alpha` is the temperature of a single frame's heat map. False for a filter
+            whose own is made for many frames together.
+    """
+
+    settings: type[FilterSettings]
+    belief: type
+    step: Callable[..., tuple[Any, Any]]
+    hypotheses: Callable[..., Any]
+    presets: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: MappingProxyType({}))
+    by_single_frames: bool = False
+    alpha_is_of_one_frame: bool = True
+
+
+@dataclass(frozen=True)
+class FilterEntry:
+    """A line of the table.
+
+    Attributes:
+        module: which has the filter as `FILTER`.
+        help: what `bask-data encode --help` says of it.
+    """
+
+    module: str
+    help: str
+
+
+FILTERS: dict[str, FilterEntry] = {
+    "expectation": FilterEntry("bask_data.core.filters.expectation", "each frame by itself."),
+    "discrete": FilterEntry("bask_data.core.filters.discrete", "belief over pixels."),
+    "particle": FilterEntry(
+        "bask_data.core.filters.particle", "belief over 3D points, which remembers what is hidden or out of view."
+    ),
+}
+"""All filters, in the order in which they are listed and compared."""
+
+DEFAULT = "particle"
+"""The filter of `encode`, and of a tracker without settings."""
+
+
+def filter_named(name: str) -> Filter:
+    """A filter of the table.
+
+    Raises:
+        ValueError: there is no such filter.
+    """
+    if name not in FILTERS:
+        raise ValueError(f"filter: expected one of {', '.join(FILTERS)}, got {name}")
+    loaded: Filter = importlib.import_module(FILTERS[name].module).FILTER
+    return loaded
+
+
+def filter_of(settings: FilterSettings) -> Filter:
+    """The filter that settings are for.
+
+    Raises:
+        ValueError: no filter has settings of this type.
+    """
+    for name in FILTERS:
+        found = filter_named(name)
+        if type(settings) is found.settings:
+            return found
+    raise ValueError(f"settings: expected those of {', '.join(FILTERS)}, got {type(settings).__name__}")
+
+
+def settings_named(filter: str, name: SettingsName = "default", **overrides: Any) -> FilterSettings:
+    """Settings of a filter: our own, the paper's or those of its authors' published code.
+
+    The paper leaves most values open; what it does not say is as in the code.
+
+    Args:
+        overrides: fields to change; those that are None stay as they are.
+
+    Raises:
+        ValueError: there is no such filter, or no settings of that name.
+    """
+    if filter not in FILTERS or name not in get_args(SettingsName):
+        known = f"one of {', '.join(FILTERS)} and one of {', '.join(get_args(SettingsName))}"
+        raise ValueError(f"settings: expected {known}, got {filter} and {name}")
+    found = filter_named(filter)
+    given = {field: value for field, value in overrides.items() if value is not None}
+    return replace(found.settings(), **{**found.presets.get(name, {}), **given})
+
+
+def alpha_of_one_frame(filter: str, name: SettingsName = "default", alpha: float | None = None) -> float | None:
+    """Temperature at which one frame's heat map softmax(-alpha z) shows what a filter takes from it.
+
+    Args:
+        filter: may be none of the table, as that of a track made of truth.
+        alpha: the temperature that was asked for, if any.
+
+    Returns:
+        None where the filter has none that speaks of a single frame.
+    """
+    if filter not in FILTERS or (alpha is None and not filter_named(filter).alpha_is_of_one_frame):
+        return None
+    found: float | None = alpha or getattr(settings_named(filter, name), "alpha", None)
+    return found
