@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from bask_data.core.correspondences import View, match, view
+from bask_data.core.correspondences.matchable import MatchableView, matchable_view
+from bask_data.core.correspondences.search import match
 
 HEIGHT, WIDTH = 480, 640
 N_ATTEMPTS, N_MATCHES = 4000, 1000
@@ -91,12 +92,12 @@ def cases() -> Iterator[tuple[str, Callable[[], object], Callable[[], object]]]:
 
     def ours() -> int:
         # Frames are prepared once for all their pairs, which is counted here.
-        rng, ready = np.random.default_rng(0), dict[int, View]()
+        rng, ready = np.random.default_rng(0), dict[int, MatchableView]()
         n_matches = 0
         for pair in order.tolist():
             for i in pair:
                 if i not in ready:
-                    ready[i] = view(given[i][0], given[i][1], K, given[i][2])
+                    ready[i] = matchable_view(given[i][0], given[i][1], K, given[i][2])
             n_matches += len(match(ready[pair[0]], ready[pair[1]], rng, N_ATTEMPTS, N_MATCHES).instance)
         return n_matches
 

@@ -170,7 +170,7 @@ def drawn_pixels(
     are."""
     import numpy as np
 
-    from bask_data.core.correspondences import shares
+    from bask_data.core.correspondences.search import shares
 
     labels = frames.labels(frame)
     pixels = {label: np.flatnonzero((labels == label) & allowed) for label in frames.objects}
@@ -197,10 +197,10 @@ def _clear(frames: Frames, frame: Frame) -> np.ndarray:
     Beyond, which surface a pixel shows is a matter of chance: nobody picks a keypoint there, and `correspondences`
     leaves it out.
     """
-    from bask_data.core.correspondences import view
+    from bask_data.core.correspondences.matchable import matchable_view
 
     K, world_from_camera = frames.K(frame.camera), frames.world_from_camera(frame)
-    known = view(frames.depth(frame), frames.labels(frame), K, world_from_camera, None, SMOOTH, MARGIN)
+    known = matchable_view(frames.depth(frame), frames.labels(frame), K, world_from_camera, None, SMOOTH, MARGIN)
     return known.sure > 0
 
 

@@ -18,8 +18,9 @@ from bask_data.kinds.masks import CameraMasks
 if TYPE_CHECKING:
     import numpy as np
 
-    from bask_data.core.correspondences import Matches, View
-    from bask_data.core.views import Pairs
+    from bask_data.core.correspondences.frame_pairs import FramePairs
+    from bask_data.core.correspondences.matchable import MatchableView
+    from bask_data.core.correspondences.search import Matches
     from bask_data.core.visibility.surface import Surface
 
 N_SURFACE_POINTS = 512
@@ -90,7 +91,7 @@ def correspondences(
     """
     import numpy as np
 
-    from bask_data.core.correspondences import REJECTIONS, match
+    from bask_data.core.correspondences.search import REJECTIONS, match
     from bask_data.core.visibility.surface import Surface
 
     _check(scan, masks)
@@ -150,7 +151,7 @@ class Tally:
 
     def add(self, matches: Matches, n_matches: int) -> None:
         """Count a pair, of which `n_matches` were asked for."""
-        from bask_data.core.correspondences import REJECTIONS
+        from bask_data.core.correspondences.search import REJECTIONS
 
         self.n_pairs += 1
         self.n_empty += not len(matches.instance)
@@ -210,13 +211,13 @@ def _choose(
     surface: Surface | None,
     params: CorrespondencesParams,
     rng: np.random.Generator,
-) -> Pairs:
+) -> FramePairs:
     """The pairs of frames to match, judged by points on the objects; no frame is read for it."""
     import numpy as np
 
-    from bask_data.core.correspondences import unhidden
+    from bask_data.core.correspondences.frame_pairs import choose_pairs, seen
+    from bask_data.core.correspondences.matchable import unhidden
     from bask_data.core.objects import vertex_normals_and_areas
-    from bask_data.core.views import choose_pairs, seen
 
     normals, areas = vertex_normals_and_areas(reconstruction.vertices, reconstruction.triangles)
     weight = np.where(objects.vertex_instance > 0, areas, 0.0)
@@ -267,16 +268,16 @@ def _view(
     surface: Surface | None,
     tolerance: tuple[float, float],
     params: CorrespondencesParams,
-) -> View:
+) -> MatchableView:
     from bask_data.core import depth
-    from bask_data.core.correspondences import view
+    from bask_data.core.correspondences.matchable import matchable_view
 
     measured = depth.in_range(camera.depth(i_frame), 0.0, FAR)
     # Flying pixels go, but gaps are not filled as for fusion: a mean of neighbours is off at every edge of an object.
     # Nor does the surface fill them: where a measurement was thrown away, either of the two may be wrong.
     flying = depth.flying(measured)
     measured[flying] = 0
-    return view(
+    return matchable_view(
         measured,
         masks.instance(i_frame),
         camera.K,
@@ -288,7 +289,7 @@ def _view(
     )
 
 
-def _too_few_pairs(chosen: Pairs, masks: VisibleMasks, params: CorrespondencesParams) -> list[str]:
+def _too_few_pairs(chosen: FramePairs, masks: VisibleMasks, params: CorrespondencesParams) -> list[str]:
     if masks.n_instances == 0:
         return ["no match: the scene has no object.  fix: look at what `bask-data objects` found."]
     if len(chosen.frames) >= params.n_pairs:

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from bask_data.cli.app import app
-from bask_data.core.correspondences import REJECTIONS, Matches
+from bask_data.core.correspondences.search import REJECTIONS, Matches
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
 from bask_data.dataset import Dataset
 from bask_data.engine import make, plan

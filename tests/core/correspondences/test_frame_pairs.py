@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bask_data.core import views
+from bask_data.core.correspondences import frame_pairs
+from bask_data.core.correspondences.frame_pairs import candidates, choose_pairs, overlap, view_class
 from bask_data.core.geometry import view_change
 from tests import scenes
 
@@ -22,7 +23,7 @@ def ball(n=400):
 
 def seen(cameras):
     points, normals = ball()
-    return views.seen(points, normals, K, cameras, 120, 160), points
+    return frame_pairs.seen(points, normals, K, cameras, 120, 160), points
 
 
 def test_a_camera_sees_the_half_of_a_ball_that_faces_it():
@@ -36,7 +37,7 @@ def test_a_camera_sees_the_half_of_a_ball_that_faces_it():
 def test_overlap_is_shared_over_either():
     is_seen = np.array([[1, 1, 0, 0], [0, 1, 1, 0], [0, 0, 0, 0]], bool)
     a, b = np.array([0, 0, 2, 0]), np.array([1, 0, 2, 2])
-    np.testing.assert_allclose(views.overlap(is_seen, a, b), [1 / 3, 1.0, 0.0, 0.0])
+    np.testing.assert_allclose(overlap(is_seen, a, b), [1 / 3, 1.0, 0.0, 0.0])
 
 
 @settings(max_examples=10)
@@ -44,14 +45,14 @@ def test_overlap_is_shared_over_either():
 def test_every_pair_changes_view_and_shares_surface(seed):
     cameras = scenes.orbit(25)
     is_seen, points = seen(cameras)
-    pairs = views.choose_pairs(cameras, is_seen, points, 60, np.random.default_rng(seed))
+    pairs = choose_pairs(cameras, is_seen, points, 60, np.random.default_rng(seed))
     assert len(pairs.frames) == 60
     a, b = pairs.frames.T
     distance, angle = view_change(cameras[a], cameras[b])
     np.testing.assert_array_equal(pairs.distance, distance)
     np.testing.assert_array_equal(pairs.angle, angle)
     assert ((distance > 0.2) | (angle > np.deg2rad(20))).all()
-    assert (views.overlap(is_seen, a, b) >= 0.15).all()
+    assert (overlap(is_seen, a, b) >= 0.15).all()
     assert len({frozenset(pair) for pair in pairs.frames.tolist()}) == 60
     assert (np.diff(a) >= 0).all()
 
@@ -62,17 +63,17 @@ def test_the_angle_alone_makes_a_pair():
     c, s = np.cos(np.deg2rad(25)), np.sin(np.deg2rad(25))
     turned[1, :3, :3] = turned[1, :3, :3] @ [[c, -s, 0], [s, c, 0], [0, 0, 1]]
     is_seen, points = seen(turned)
-    one = views.choose_pairs(turned, is_seen, points, 5, np.random.default_rng(0))
+    one = choose_pairs(turned, is_seen, points, 5, np.random.default_rng(0))
     assert len(one.frames) == 1
     assert one.angle[0] == pytest.approx(np.deg2rad(25))
-    none = views.choose_pairs(turned, is_seen, points, 5, np.random.default_rng(0), min_angle=np.deg2rad(26))
+    none = choose_pairs(turned, is_seen, points, 5, np.random.default_rng(0), min_angle=np.deg2rad(26))
     assert (len(none.frames), none.n_looked_at, none.n_too_similar) == (0, 1, 1)
 
 
 def test_opposite_views_share_too_little_and_are_counted():
     cameras = np.stack([scenes.look_at((0.5, 0.0, 0.0)), scenes.look_at((-0.5, 0.0, 0.0))])
     is_seen, points = seen(cameras)
-    pairs = views.choose_pairs(cameras, is_seen, points, 5, np.random.default_rng(0))
+    pairs = choose_pairs(cameras, is_seen, points, 5, np.random.default_rng(0))
     assert (len(pairs.frames), pairs.n_too_similar, pairs.n_too_little_overlap) == (0, 0, 1)
 
 
@@ -80,32 +81,32 @@ def test_pairs_are_spread_over_angles_scales_and_frames():
     near, far = scenes.orbit(20, radius=0.4), scenes.orbit(20, radius=0.8)
     cameras = np.concatenate([near, far])
     is_seen, points = seen(cameras)
-    pairs = views.choose_pairs(cameras, is_seen, points, 80, np.random.default_rng(0), min_overlap=0.05)
+    pairs = choose_pairs(cameras, is_seen, points, 80, np.random.default_rng(0), min_overlap=0.05)
     a, b = pairs.frames.T
     assert np.unique(pairs.frames).size == 40
     assert np.bincount(pairs.frames.ravel()).max() <= 3 * 80 * 2 / 40
     n_scale = np.bincount(((a >= 20).astype(int) - (b >= 20)) + 1, minlength=3)
     assert n_scale.min() >= 20
-    group = views.view_class(cameras, is_seen, points, a, b)
-    every_a, every_b = views.candidates(40, np.random.default_rng(0))
-    usable = views.overlap(is_seen, every_a, every_b) >= 0.05
+    group = view_class(cameras, is_seen, points, a, b)
+    every_a, every_b = candidates(40, np.random.default_rng(0))
+    usable = overlap(is_seen, every_a, every_b) >= 0.05
     distance, angle = view_change(cameras[every_a], cameras[every_b])
     usable &= (distance > 0.2) | (angle > np.deg2rad(20))
-    all_groups = np.unique(views.view_class(cameras, is_seen, points, every_a[usable], every_b[usable]))
+    all_groups = np.unique(view_class(cameras, is_seen, points, every_a[usable], every_b[usable]))
     assert len(np.unique(group)) >= 0.8 * len(all_groups)
 
 
 def test_a_turn_about_the_viewing_axis_is_its_own_class():
     cameras = np.stack([scenes.look_at((0.0, 0.1, 0.5)), scenes.look_at((0.1, 0.0, 0.5), up=(0.0, 1.0, 0.0))])
     is_seen, points = seen(cameras)
-    same = views.view_class(cameras, is_seen, points, np.array([0]), np.array([0]))
-    turned = views.view_class(cameras, is_seen, points, np.array([0]), np.array([1]))
+    same = view_class(cameras, is_seen, points, np.array([0]), np.array([0]))
+    turned = view_class(cameras, is_seen, points, np.array([0]), np.array([1]))
     assert same[0] != turned[0]
 
 
 def test_a_long_scan_is_sampled(monkeypatch):
-    monkeypatch.setattr(views, "MAX_CANDIDATES", 500)
-    a, b = views.candidates(200, np.random.default_rng(0))
+    monkeypatch.setattr(frame_pairs, "MAX_CANDIDATES", 500)
+    a, b = candidates(200, np.random.default_rng(0))
     assert 400 < len(a) <= 500
     assert (a != b).all()
     assert len({frozenset(pair) for pair in zip(a.tolist(), b.tolist(), strict=True)}) == len(a)
@@ -115,12 +116,12 @@ def test_a_long_scan_is_sampled(monkeypatch):
 def test_few_frames_and_no_surface_give_no_pairs(n_frames):
     cameras = scenes.orbit(3)[:n_frames]
     nothing = np.zeros((0, 3))
-    pairs = views.choose_pairs(cameras, np.zeros((n_frames, 0), bool), nothing, 5, np.random.default_rng(0))
+    pairs = choose_pairs(cameras, np.zeros((n_frames, 0), bool), nothing, 5, np.random.default_rng(0))
     assert pairs.frames.shape == (0, 2)
 
 
 def test_same_seed_same_pairs():
     cameras = scenes.orbit(25)
     is_seen, points = seen(cameras)
-    one, two = (views.choose_pairs(cameras, is_seen, points, 60, np.random.default_rng(7)) for _ in range(2))
+    one, two = (choose_pairs(cameras, is_seen, points, 60, np.random.default_rng(7)) for _ in range(2))
     np.testing.assert_array_equal(one.frames, two.frames)

@@ -21,7 +21,7 @@ TURN_BINS = np.deg2rad([-90.0, -30.0, 30.0, 90.0])
 
 
 @dataclass(frozen=True)
-class Pairs:
+class FramePairs:
     """Chosen pairs of frames.
 
     Args:
@@ -68,7 +68,7 @@ def choose_pairs(
     min_distance: float = 0.2,
     min_angle: float = np.deg2rad(20.0),
     min_overlap: float = 0.15,
-) -> Pairs:
+) -> FramePairs:
     """At most `n_pairs` pairs, spread over view angle, scale, rotation and frames.
 
     Args:
@@ -85,7 +85,7 @@ def choose_pairs(
     enough = shared >= min_overlap
     a, b, distance, angle = a[enough], b[enough], distance[enough], angle[enough]
     order = spread(view_class(world_from_cameras, is_seen, points_world, a, b), a, b, n_frames, n_pairs, rng)
-    return Pairs(
+    return FramePairs(
         np.stack([a[order], b[order]], axis=1),
         distance[order],
         angle[order],
