@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Keypoints:
+class TrackedKeypoints:
     """Where k keypoints are after a frame, in metres and the world frame. NaN where nothing is known yet.
 
     Attributes:
@@ -149,7 +149,7 @@ class KeypointTracker:
         intrinsics: Mapping[str, np.ndarray],
         world_from_cameras: Mapping[str, np.ndarray],
         world_from_gripper: np.ndarray | None = None,
-    ) -> Keypoints:
+    ) -> TrackedKeypoints:
         """Where the keypoints are after one more frame. A camera without a frame this time is left out of `images`.
 
         Args:
@@ -207,7 +207,7 @@ class KeypointTracker:
             sizes={name: (image.shape[0], image.shape[1]) for name, image in images.items()},
         )
 
-    def update(self, look: FrameObservations, world_from_gripper: np.ndarray | None = None) -> Keypoints:
+    def update(self, look: FrameObservations, world_from_gripper: np.ndarray | None = None) -> TrackedKeypoints:
         """The second half of a step, which needs the belief but not the network.
 
         Raises:
@@ -231,7 +231,7 @@ class KeypointTracker:
             name: scale_pixels(estimate.pixel[i], one.depth.shape, look.sizes[name]) if one else estimate.pixel[i]
             for i, (name, one) in enumerate(zip(self.cameras, seen, strict=True))
         }
-        return Keypoints(
+        return TrackedKeypoints(
             names=self.names,
             mean=estimate.mean,
             covariance=estimate.covariance,

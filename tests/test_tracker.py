@@ -13,7 +13,7 @@ from bask_data.core.filters.table import FilterSettings, settings_named
 from bask_data.errors import BadData
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Robot
 from bask_data.stages.encode import EncodeParams, dropped, encode
-from bask_data.tracker import FrameObservations, Keypoints, KeypointTracker
+from bask_data.tracker import FrameObservations, KeypointTracker, TrackedKeypoints
 from tests.tracked import N_FRAMES, ColourNetwork, dataset_of, keypoints, poses, side_poses
 
 FILTERS = ("expectation", "discrete", "particle")
@@ -47,7 +47,7 @@ def settings_of(filter: str) -> FilterSettings:
     return settings_named(filter, n_particles=200) if filter == "particle" else settings_named(filter)
 
 
-def stepped(tracker: KeypointTracker, demonstration: Demonstration, i_frame: int, names: list[str]) -> Keypoints:
+def stepped(tracker: KeypointTracker, demonstration: Demonstration, i_frame: int, names: list[str]) -> TrackedKeypoints:
     cameras = [demonstration.camera(name) for name in names]
     return tracker.step(
         images={camera.name: camera.rgb(i_frame) for camera in cameras},
@@ -58,7 +58,7 @@ def stepped(tracker: KeypointTracker, demonstration: Demonstration, i_frame: int
     )
 
 
-def same(one: Keypoints, other: Keypoints) -> None:
+def same(one: TrackedKeypoints, other: TrackedKeypoints) -> None:
     for name in ("mean", "covariance", "mode", "n_eff", "log_evidence"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
     for name in ("pixel", "observed"):
@@ -68,7 +68,7 @@ def same(one: Keypoints, other: Keypoints) -> None:
             np.testing.assert_array_equal(mine[camera], its[camera], err_msg=f"{camera} {name}")
 
 
-def is_the_track(track: KeypointTrack, i_frame: int, found: Keypoints) -> None:
+def is_the_track(track: KeypointTrack, i_frame: int, found: TrackedKeypoints) -> None:
     for name in ("mean", "covariance", "mode", "n_eff", "log_evidence"):
         expected = getattr(found, name).astype(np.float32)
         np.testing.assert_array_equal(getattr(track, name)[i_frame], expected, err_msg=f"{i_frame} {name}")

@@ -8,6 +8,7 @@ of single frames and of each filter over time.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -29,7 +30,7 @@ from bask_data.kinds import Camera, Demonstration, DescriptorNet, Pick, Referenc
 from bask_data.kinds.places import points_on_objects, true_pixels
 from bask_data.progress import progress
 from bask_data.stages.encode import cameras_of, grippers_of
-from bask_data.tracker import Keypoints, KeypointTracker, moment_of
+from bask_data.tracker import KeypointTracker, TrackedKeypoints, moment_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -166,13 +167,18 @@ def evaluated_keypoints(
         "settings": settings,
         "seed": seed,
         "methods": [
-            {"name": one.name, "variant": one.variant, "belief": one.belief, "settings": asdict(one.settings)}
+            {"name": one.name, "variant": one.variant, "belief": one.belief, "settings": _plain(one.settings)}
             for one in methods
         ],
         "margins": {name: _margins(dataset, name, unit) for name, unit in units.items()},
         "measured_with": _digests(dataset, variants, [name for names in groups.values() for name in names]),
         "groups": found,
     }
+
+
+def _plain(settings: FilterSettings) -> dict[str, Any]:
+    """Settings as JSON has them, which knows no infinity: null stands for no limit."""
+    return {name: None if value in (math.inf, -math.inf) else value for name, value in asdict(settings).items()}
 
 
 def save_study(dataset: Dataset, found: Mapping[str, Any]) -> Path:
@@ -265,7 +271,10 @@ def _tracked(
         )
         for method in methods
     }
-    grippers, found = grippers_of(demonstration, len(tracked.places)), {name: list[Keypoints]() for name in trackers}
+    grippers, found = (
+        grippers_of(demonstration, len(tracked.places)),
+        {name: list[TrackedKeypoints]() for name in trackers},
+    )
     for i_frame in progress(range(len(tracked.places)), f"tracking in {name}"):
         moment = moment_of(cameras, i_frame)
         for variant in networks:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from bask_data.kinds.keypoints import KeypointsWriter
-    from bask_data.tracker import Described, Keypoints, KeypointTracker, Moment
+    from bask_data.tracker import Described, KeypointTracker, Moment, TrackedKeypoints
 
     FilterName = str
 else:
@@ -278,7 +278,7 @@ def _clear(out: Path) -> None:
         shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
-def _append(writer: KeypointsWriter, cameras: list[str], found: Keypoints) -> bool:
+def _append(writer: KeypointsWriter, cameras: list[str], found: TrackedKeypoints) -> bool:
     """Write a frame; whether all so far are on disk."""
     return writer.append(
         mean=found.mean,

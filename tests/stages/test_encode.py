@@ -20,7 +20,7 @@ from bask_data.engine import make, plan, state_of
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Robot, Truth, arrays
 from bask_data.kinds.truth import TruthMetadata
 from bask_data.stages.encode import EncodeParams, _beside, encode, settings_of
-from bask_data.tracker import FrameObservations, Keypoints, KeypointTracker
+from bask_data.tracker import FrameObservations, KeypointTracker, TrackedKeypoints
 from tests.datasets import publish_artifact
 from tests.threads import no_garbage_collector, threads_named
 from tests.tracked import (
@@ -352,7 +352,7 @@ def test_memory_does_not_grow_with_the_length(
 
     def watched_update(
         self: KeypointTracker, look: FrameObservations, world_from_gripper: np.ndarray | None = None
-    ) -> Keypoints:
+    ) -> TrackedKeypoints:
         found = update(self, look, world_from_gripper)
         rows.append(weakref.ref(found.covariance))
         for name, kept in (("images", images), ("rows", rows)):
