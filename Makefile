@@ -8,7 +8,7 @@ ARGS ?=
 
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: help setup test test-slow test-lerobot demo check benchmark accuracy lock clean
+.PHONY: help setup test test-slow test-lerobot demo check docs benchmark accuracy lock clean
 
 help:
 	@echo "make setup      .venv with the locked versions; system libraries too, or the command that brings them"
@@ -16,7 +16,8 @@ help:
 	@echo "make test       setup and the test suite"
 	@echo "make test-slow  the tests that take long"
 	@echo "make test-lerobot  the LeRobot export, read by the lerobot package in an environment of its own (8 GB)"
-	@echo "make check      formatting, lint, types, layers, rendered files"
+	@echo "make check      formatting, lint, types, layers, rendered files, documentation"
+	@echo "make docs       the documentation as a site: build/docs/index.html"
 	@echo "make benchmark  how fast each stage is, against a plain way of doing the same"
 	@echo "make accuracy   how right masks and matches are, on simulated, ray-cast and real scenes (half an hour)"
 	@echo "make lock       move requirements.lock to the newest versions"
@@ -42,7 +43,7 @@ test-lerobot: setup build/lerobot/bin/python
 demo: setup
 	$(VENV)/python pipelines/demo.py
 
-check: setup
+check: setup docs
 	$(VENV)/ruff format --check .
 	$(VENV)/ruff check .
 	$(VENV)/mypy
@@ -52,6 +53,10 @@ check: setup
 		echo "$(VENV)/bask-data dvc $$(dirname $$file) --check"; \
 		$(VENV)/bask-data dvc $$(dirname $$file) --check; \
 	done
+
+# Strict: a link or an anchor that leads nowhere fails.
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(VENV)/mkdocs build --strict --quiet
 
 benchmark: setup
 	$(VENV)/python benchmarks/run.py $(ARGS)

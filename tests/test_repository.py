@@ -57,7 +57,8 @@ def test_every_recording_that_ships_has_its_licence_beside_it() -> None:
 
 def test_links_between_documents_lead_somewhere() -> None:
     broken = []
-    for document in [*tracked("*.md")]:
+    # Those of docs/ are checked by `make docs`: some of their targets are generated.
+    for document in [file for file in tracked("*.md") if REPOSITORY / "docs" not in file.parents]:
         for target in re.findall(r"\]\(([^)#\s]+)", document.read_text()):
             if "://" not in target and not (document.parent / target).exists():
                 broken.append(f"{document.relative_to(REPOSITORY)}: {target}")
