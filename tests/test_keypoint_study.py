@@ -15,7 +15,7 @@ from bask_data.dataset import Dataset, Splits
 from bask_data.engine import make, plan
 from bask_data.errors import BadData, UsageError
 from bask_data.evaluation import evaluated_keypoints
-from bask_data.evaluation.keypoint_study import FILE, _plain, is_current, methods_of, save_study
+from bask_data.evaluation.keypoint_study import FILE, _told_settings, is_current, methods_of, save_study
 from bask_data.evaluation.tracked_points import ROUND, points_to_track, true_tracks
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Scan, Truth
 from bask_data.kinds.truth import TruthMetadata
@@ -195,7 +195,7 @@ def test_phases_and_figures_are_those_of_the_true_places(dataset: Dataset, found
 
 @pytest.mark.parametrize("name", ["default", "paper", "code"])
 def test_settings_without_a_limit_are_told_as_null(name: str) -> None:
-    told = [_plain(method.settings) for method in methods_of({"main": 1.0}, name)]
+    told = [_told_settings(method.settings) for method in methods_of({"main": 1.0}, name)]
     json.dumps(told, allow_nan=False)
     assert told[-1]["gripper_reach"] == (0.15 if name == "default" else None)
 

@@ -167,7 +167,7 @@ def evaluated_keypoints(
         "settings": settings,
         "seed": seed,
         "methods": [
-            {"name": one.name, "variant": one.variant, "belief": one.belief, "settings": _plain(one.settings)}
+            {"name": one.name, "variant": one.variant, "belief": one.belief, "settings": _told_settings(one.settings)}
             for one in methods
         ],
         "margins": {name: _margins(dataset, name, unit) for name, unit in units.items()},
@@ -176,7 +176,7 @@ def evaluated_keypoints(
     }
 
 
-def _plain(settings: FilterSettings) -> dict[str, Any]:
+def _told_settings(settings: FilterSettings) -> dict[str, Any]:
     """Settings as JSON has them, which knows no infinity: null stands for no limit."""
     return {name: None if value in (math.inf, -math.inf) else value for name, value in asdict(settings).items()}
 
