@@ -9,14 +9,14 @@ from bask_data.dataset import Dataset
 from bask_data.errors import UsageError
 
 if TYPE_CHECKING:
-    from bask_data.report.figures import Measured
+    from bask_data.evaluation.figures import Measured
 
 __all__ = ["measure", "summarise", "write_report"]
 
 
 def measure(dataset: Dataset) -> Measured:
     """What page and summary both need and what takes a look at many frames; give it to both to look only once."""
-    from bask_data.report.figures import Measured
+    from bask_data.evaluation.figures import Measured
 
     return Measured(dataset)
 
@@ -48,6 +48,6 @@ def write_report(dataset: Dataset, out: Path, measured: Measured | None = None) 
 
 def summarise(dataset: Dataset, measured: Measured | None = None) -> dict[str, Any]:
     """The report's figures of all items as plain JSON values; None where a figure is not known."""
-    from bask_data.report.figures import summary
+    from bask_data.evaluation.figures import summary
 
     return summary(dataset, measured or measure(dataset))

@@ -9,20 +9,18 @@ import numpy as np
 
 from bask_data.dataset import Dataset
 from bask_data.drawing import pictures as draw
-from bask_data.kinds import Camera, Pick, Recording, ReferenceKeypoints
-from bask_data.report import figures
-from bask_data.report.figures import find, find_recording, spread_frames
-from bask_data.report.points import (
+from bask_data.evaluation.finder import Finder, Sight
+from bask_data.evaluation.lookup import UNREADABLE, find, find_recording, spread_frames, what_is_wrong
+from bask_data.evaluation.reference_points import (
     BEHIND,
     SEEN,
     UNKNOWN,
-    Finder,
-    Sight,
     TruePixels,
     TruePlaces,
     frame_of,
     reference_points,
 )
+from bask_data.kinds import Camera, Pick, Recording, ReferenceKeypoints
 from bask_data.report.sections import Chosen, Part, per_item
 
 N_SCANS = 3
@@ -50,8 +48,8 @@ def heat_maps(chosen: Chosen) -> list[Part]:
     for variant, network in chosen.networks.items():
         try:
             finders[variant] = Finder(dataset, variant, network, picks)
-        except figures.UNREADABLE as error:
-            failed.append({"title": variant, "error": figures.what_is_wrong(error)})
+        except UNREADABLE as error:
+            failed.append({"title": variant, "error": what_is_wrong(error)})
     described = np.all([finder.described for finder in finders.values()], axis=0) if finders else np.zeros(0, bool)
     if finders and not described.any():
         failed.append({"title": "", "why_not": "the points were picked in images that this dataset does not hold"})

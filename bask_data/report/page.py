@@ -11,8 +11,9 @@ import markupsafe
 
 from bask_data import __version__
 from bask_data.dataset import Dataset
+from bask_data.evaluation.figures import Measured
+from bask_data.evaluation.lookup import UNREADABLE, what_is_wrong
 from bask_data.report import evaluated, heat, sections, study
-from bask_data.report.figures import UNREADABLE, Measured, what_is_wrong
 
 TEMPLATE = "page.html.j2"
 MOST_BYTES = 8_000_000

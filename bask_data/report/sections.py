@@ -17,6 +17,20 @@ from bask_data.artifact import Artifact
 from bask_data.core.geometry import scale_pixels
 from bask_data.dataset import Dataset
 from bask_data.drawing import pictures as draw
+from bask_data.drawing.marks import N_TRAIL, camera_tracks
+from bask_data.evaluation.artifact_figures import (
+    matches_figures,
+    objects_figures,
+    reconstruction_figures,
+    recording_figures,
+    view_changes,
+)
+from bask_data.evaluation.figures import Measured
+from bask_data.evaluation.lookup import UNREADABLE, find, find_recording, find_truth, spread_frames, what_is_wrong
+from bask_data.evaluation.made import made
+from bask_data.evaluation.network_figures import descriptor_figures, networks
+from bask_data.evaluation.reference_points import frame_of
+from bask_data.evaluation.track_figures import TOLERANCE_PX, TrackScores, figures_of_track
 from bask_data.kinds import (
     Correspondences,
     DescriptorNet,
@@ -29,10 +43,6 @@ from bask_data.kinds import (
     Truth,
     VisibleMasks,
 )
-from bask_data.report import figures
-from bask_data.report.figures import Measured, TrackScores, find, find_recording, find_truth, spread_frames
-from bask_data.report.marks import N_TRAIL, track_marks
-from bask_data.report.points import frame_of
 
 N_ITEMS = 3
 """Scenes, demonstrations and variants shown; more would make a page nobody loads."""
@@ -73,7 +83,7 @@ class Chosen:
     @cached_property
     def networks(self) -> dict[str, DescriptorNet]:
         """Descriptor networks by variant."""
-        return figures.networks(self.dataset)
+        return networks(self.dataset)
 
     @cached_property
     def masks(self) -> dict[str, dict[str, Any]]:
@@ -101,8 +111,8 @@ def per_item(names: Sequence[str], part: Callable[[str], Part | None]) -> list[P
     for name in names:
         try:
             made = part(name)
-        except figures.UNREADABLE as error:
-            made = {"title": name, "error": figures.what_is_wrong(error)}
+        except UNREADABLE as error:
+            made = {"title": name, "error": what_is_wrong(error)}
         if made:
             parts.append(made)
     return parts
@@ -113,7 +123,7 @@ def per_item(names: Sequence[str], part: Callable[[str], Part | None]) -> list[P
 
 def overview(chosen: Chosen) -> Part:
     """What was made, the headline figures, what is missing and what is not shown."""
-    artifacts = figures.made(chosen.dataset)
+    artifacts = made(chosen.dataset)
     return {
         "headline": _headline(chosen),
         "artifacts": artifacts[: 3 * N_ROWS],
@@ -205,8 +215,8 @@ def _headline(chosen: Chosen) -> list[tuple[str, str]]:
         if variant != chosen.tracks[0][1]:  # Other variants are compared in their own section.
             continue
         try:
-            found = figures.figures_of_track(scored)
-        except figures.UNREADABLE:  # Its own section says so.
+            found = figures_of_track(scored)
+        except UNREADABLE:  # Its own section says so.
             continue
         where = name if variant == "main" else f"{name} ({variant})"
         rows.append((str(found["n_keypoints"]), f"keypoints tracked over {found['n_frames']} frames of {where}"))
@@ -223,7 +233,7 @@ def _readable(artifact: A | None) -> A | None:
         return None
     try:
         _ = artifact.metadata
-    except figures.UNREADABLE:
+    except UNREADABLE:
         return None
     return artifact
 
@@ -248,7 +258,7 @@ def frames(chosen: Chosen) -> list[Part]:
         if recording is None:
             return None
         sort = "scan" if isinstance(recording, Scan) else "demonstration"
-        cameras = figures.recording_figures(recording)
+        cameras = recording_figures(recording)
         n_frames = max(chosen.n_frames // min(len(cameras), N_CAMERAS), 2) if cameras else 0
         return {
             "title": f"{name} ({sort})",
@@ -295,7 +305,7 @@ def reconstruction(chosen: Chosen) -> list[Part]:
         found = find(chosen.dataset, Reconstruction, name)
         if found is None:
             return None
-        numbers = figures.reconstruction_figures(found)
+        numbers = reconstruction_figures(found)
         low, high = (np.array(corner) for corner in numbers["bounds_m"])
         return {
             "title": name,
@@ -372,7 +382,7 @@ def objects(chosen: Chosen) -> list[Part]:
         found = find(chosen.dataset, ObjectInstances, name)
         if found is None:
             return None
-        numbers = figures.objects_figures(found)
+        numbers = objects_figures(found)
         mesh = find(chosen.dataset, Reconstruction, name)
         rows = [
             {
@@ -515,7 +525,7 @@ def matches(chosen: Chosen) -> list[Part]:
         found = find(chosen.dataset, Correspondences, name)
         if found is None:
             return None
-        numbers = figures.matches_figures(found)
+        numbers = matches_figures(found)
         scan = find(chosen.dataset, Scan, name)
         most = max([numbers["n_matches"], *numbers["rejections"].values()], default=1) or 1
         reasons = sorted(numbers["rejections"], key=lambda why: -numbers["rejections"][why])
@@ -560,7 +570,7 @@ def _change_plots(correspondences: Correspondences) -> list[Part]:
     pairs = correspondences.pairs()
     if not pairs.num_rows:
         return []
-    change = figures.view_changes(correspondences.matches())
+    change = view_changes(correspondences.matches())
     distance, angle = (pairs[name].to_numpy().astype(np.float64) for name in ("distance", "angle"))
     drawn = [
         ("Distance of the cameras", 100 * distance, "centimetres", False),
@@ -617,7 +627,7 @@ def training(chosen: Chosen) -> list[Part]:
 
     def part(variant: str) -> Part:
         found = chosen.networks[variant]
-        numbers = figures.descriptor_figures(found)
+        numbers = descriptor_figures(found)
         marked = numbers["step"] if numbers["chosen_by"] is not None else None
         return {
             "title": variant,
@@ -748,7 +758,7 @@ def tracks(chosen: Chosen) -> list[Part]:
 
     def part(label: str) -> Part:
         name, variant, scored = labels[label]
-        numbers = figures.figures_of_track(scored)
+        numbers = figures_of_track(scored)
         colours = draw.palette(len(scored.track.names))
         return {
             "title": name + (f" ({variant})" if len(chosen.variants) > 1 else ""),
@@ -776,18 +786,17 @@ def _strips(scored: TrackScores, colours: list[draw.Colour], n_frames: int) -> l
     recording = scored.recording
     if recording is None:
         return []
+    first = scored.track.camera_names[:N_CAMERAS]
     strips = []
-    for name in scored.track.camera_names[:N_CAMERAS]:
-        if name not in recording.camera_names:
+    for seen in camera_tracks(scored.track, recording.cameras, scored.places):
+        camera = seen.camera
+        if camera.name not in first:
             continue
-        camera = recording.camera(name)
-        pixel, observed = scored.track.pixel(name), scored.track.observed(name)
         tiles = []
-        for i_frame in spread_frames(min(camera.n_frames, len(pixel)), n_frames):
-            marks = track_marks(scored, camera, i_frame, pixel[i_frame], observed[i_frame], colours)
-            uri = draw.jpeg_uri(draw.marks_picture(camera.rgb(i_frame), marks, PICTURE))
+        for i_frame in spread_frames(min(camera.n_frames, len(seen.pixel)), n_frames):
+            uri = draw.jpeg_uri(draw.marks_picture(camera.rgb(i_frame), seen.marks(i_frame, colours), PICTURE))
             tiles.append({"uri": uri, "text": f"frame {i_frame}"})
-        strips.append({"camera": name, "tiles": tiles})
+        strips.append({"camera": camera.name, "tiles": tiles})
     return strips
 
 
@@ -814,7 +823,7 @@ def _track_plots(scored: TrackScores, colours: list[draw.Colour]) -> list[Part]:
                 "title": "On the right object",
                 "svg": _share_plot(scored),
                 "caption": "Share of the keypoints whose object is in view that lie on it (solid) or within "
-                f"{figures.TOLERANCE_PX:g} px of it (dashed), by the labels. "
+                f"{TOLERANCE_PX:g} px of it (dashed), by the labels. "
                 "Orange: what pixels drawn blindly would reach.",
             }
         )

@@ -13,7 +13,7 @@ from bask_data.dataset import Dataset
 from bask_data.drawing.pictures import Mark, marks_picture, palette
 from bask_data.errors import BadData
 from bask_data.evaluation.keypoint_study import FILE, is_current
-from bask_data.report.figures import find_recording
+from bask_data.evaluation.lookup import find_recording
 from bask_data.report.sections import Chosen, Part
 
 COLOURS = ("#a0673a", "#7fb2e5", "#2f6db5", "#e08a1e", "#2f9e5b", "#8a5fb5")

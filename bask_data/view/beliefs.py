@@ -15,9 +15,9 @@ from bask_data.core.filters.particle.resample import stratified
 from bask_data.core.geometry import scale_pixels
 from bask_data.dataset import Dataset
 from bask_data.drawing.pictures import heat_picture, palette
+from bask_data.evaluation.lookup import find, input_variant
 from bask_data.kinds import Camera, Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints
 from bask_data.progress import progress
-from bask_data.report.figures import find, input_variant
 from bask_data.stages.encode import EncodeParams, cameras_of, dropped, grippers_of, settings_of
 from bask_data.tracker import KeypointTracker, moment_of
 from bask_data.view import Choice

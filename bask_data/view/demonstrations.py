@@ -8,9 +8,9 @@ from bask_data.core.geometry import in_image, rigid_fault
 from bask_data.dataset import Dataset
 from bask_data.drawing.pictures import palette
 from bask_data.errors import BadData
+from bask_data.evaluation.lookup import find
 from bask_data.kinds import Demonstration, KeypointTrack, Recording
 from bask_data.progress import progress
-from bask_data.report.figures import find
 from bask_data.view import Choice
 from bask_data.view.sheet import CORNER, ORANGE, Drawn, Sheet, expect, reading
 

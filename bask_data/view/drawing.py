@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bask_data.dataset import Dataset
+from bask_data.evaluation.lookup import find_recording
 from bask_data.kinds import Demonstration, Scan
-from bask_data.report.figures import find_recording
 from bask_data.view import Choice, Shown
 from bask_data.view.beliefs import draw_beliefs
 from bask_data.view.demonstrations import draw_demonstration

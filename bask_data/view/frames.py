@@ -10,10 +10,10 @@ import numpy as np
 from bask_data.artifact import Artifact
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
+from bask_data.evaluation.lookup import find, find_truth, spread_frames
 from bask_data.kinds import Camera, Recording, Scan, VisibleMasks
 from bask_data.kinds.masks import CameraMasks
 from bask_data.progress import progress
-from bask_data.report.figures import find, find_truth, spread_frames
 from bask_data.view import Choice
 from bask_data.view.sheet import CORNER, GREY, Drawn, Sheet, expect, jpeg, name_labels, reading
 

@@ -7,20 +7,11 @@ import numpy as np
 from bask_data.core.geometry import scale_pixels
 from bask_data.dataset import Dataset
 from bask_data.drawing.pictures import Mark, heat_picture, marks_picture, palette
+from bask_data.evaluation.finder import Finder, Sight, network_of
+from bask_data.evaluation.lookup import spread_frames
+from bask_data.evaluation.reference_points import BEHIND, SEEN, TruePixels, TruePlaces, frame_of, reference_points
 from bask_data.kinds import Camera, Pick, Recording
 from bask_data.progress import progress
-from bask_data.report.figures import spread_frames
-from bask_data.report.points import (
-    BEHIND,
-    SEEN,
-    Finder,
-    Sight,
-    TruePixels,
-    TruePlaces,
-    frame_of,
-    network_of,
-    reference_points,
-)
 from bask_data.view import Choice
 from bask_data.view.sheet import CORNER, GREY, Drawn, Sheet, jpeg, reading
 

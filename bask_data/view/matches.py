@@ -10,9 +10,9 @@ from bask_data.core.geometry import transform, unproject
 from bask_data.dataset import Dataset
 from bask_data.drawing.pictures import palette, spread_matches
 from bask_data.errors import BadData
+from bask_data.evaluation.lookup import find, spread_frames
 from bask_data.kinds import Camera, Correspondences, Scan
 from bask_data.progress import progress
-from bask_data.report.figures import find, spread_frames
 from bask_data.view.sheet import CORNER, Drawn, Sheet, jpeg, reading
 
 N_MATCHES = 60

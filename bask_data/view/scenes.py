@@ -10,8 +10,8 @@ from bask_data.core.geometry import transform, unproject
 from bask_data.dataset import Dataset
 from bask_data.drawing.mesh import up_direction
 from bask_data.drawing.pictures import instance_colours
+from bask_data.evaluation.lookup import find, spread_frames
 from bask_data.kinds import ObjectInstances, Reconstruction, Recording
-from bask_data.report.figures import find, spread_frames
 from bask_data.view.sheet import Drawn, Eye, Sheet, expect, label_colour, name_labels, reading
 
 N_EYE_POINTS = 20_000

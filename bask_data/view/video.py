@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from bask_data.dataset import Dataset
+from bask_data.drawing.marks import CameraTrack, camera_tracks
 from bask_data.drawing.pictures import Colour, Mark, marks_picture, palette
 from bask_data.errors import BaskError, UsageError, WouldOverwrite
+from bask_data.evaluation.lookup import find, find_recording
+from bask_data.evaluation.track_figures import TrackScores
 from bask_data.formats.video import VideoWriter, import_av
 from bask_data.kinds import Camera, KeypointTrack
 from bask_data.progress import progress
-from bask_data.report.figures import TrackScores, find, find_recording
-from bask_data.report.marks import track_marks
 from bask_data.view.sheet import reading
 
 WIDTH = 480
@@ -27,15 +27,6 @@ FRAMES_PER_SECOND = 20.0
 """Where a recording does not tell."""
 BACKGROUND, INK = (24, 26, 30), (225, 228, 232)
 _FONT, _SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
-
-
-@dataclass(frozen=True)
-class _Strip:
-    """A track's camera, and what the track says of it."""
-
-    camera: Camera
-    pixel: np.ndarray
-    observed: np.ndarray
 
 
 def write_videos(
@@ -85,11 +76,7 @@ def write_videos(
 
 def _write(scored: TrackScores, title: str, file: Path, every: int) -> None:
     assert scored.recording is not None, "asked only where frames are there"
-    strips = [
-        _Strip(scored.recording.camera(name), scored.track.pixel(name), scored.track.observed(name))
-        for name in scored.track.camera_names
-        if name in scored.recording.camera_names
-    ]
+    strips = camera_tracks(scored.track, scored.recording.cameras, scored.places)
     colours = palette(len(scored.track.names))
     frames = range(0, min(len(scored.track.mean), *(strip.camera.n_frames for strip in strips)), every)
     with VideoWriter(file, fps=_rate(strips[0].camera) / every, size=_size(strips)) as video:
@@ -104,19 +91,19 @@ def _rate(camera: Camera) -> float:
     return 1.0 / step if np.isfinite(step) and step > 0 else FRAMES_PER_SECOND
 
 
-def _size(strips: Sequence[_Strip]) -> tuple[int, int]:
+def _size(strips: Sequence[CameraTrack]) -> tuple[int, int]:
     heights = [max(1, round(strip.camera.height * WIDTH / strip.camera.width)) for strip in strips]
     return max(heights) + 2 * LINE, len(strips) * (WIDTH + GAP) - GAP
 
 
 def _picture(
-    scored: TrackScores, strips: Sequence[_Strip], title: str, i_frame: int, colours: list[Colour]
+    scored: TrackScores, strips: Sequence[CameraTrack], title: str, i_frame: int, colours: list[Colour]
 ) -> np.ndarray:
     """One frame of the video (h, w, 3) uint8."""
     height, width = _size(strips)
     picture = np.full((height, width, 3), BACKGROUND, np.uint8)
     for i, strip in enumerate(strips):
-        marks = track_marks(scored, strip.camera, i_frame, strip.pixel[i_frame], strip.observed[i_frame], colours)
+        marks = strip.marks(i_frame, colours)
         drawn = marks_picture(strip.camera.rgb(i_frame), marks, WIDTH)
         _draw_outside(drawn, marks, WIDTH / strip.camera.width)
         left = i * (WIDTH + GAP)

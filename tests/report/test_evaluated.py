@@ -16,6 +16,8 @@ from bask_data.report.page import number, percent
 from tests.report.filled import filled_dataset, publish_network
 from tests.report.test_report import Page
 
+MEASURED_BY = "bask_data.evaluation.network_figures.evaluated_descriptor"
+
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
@@ -42,7 +44,9 @@ def test_networks_are_measured_as_the_command_does_and_only_once_for_page_and_js
     told = evaluated_descriptor(dataset, ("main", "florence"), pairs=48, sweep=True)
     assert found == json.loads(json.dumps(told))
     asked: list[object] = []
-    monkeypatch.setattr("bask_data.evaluation.evaluated_descriptor", lambda *a, **b: asked.append(b) or told)
+    monkeypatch.setattr(
+        "bask_data.evaluation.network_figures.evaluated_descriptor", lambda *a, **b: asked.append(b) or told
+    )
     measured = measure(dataset)
     html = write_report(dataset, tmp_path / "r.html", measured).read_text(encoding="utf-8")
     summarise(dataset, measured)
@@ -66,11 +70,13 @@ def test_networks_are_measured_as_the_command_does_and_only_once_for_page_and_js
 
 def test_scenes_share_the_pairs_and_only_some_of_many_are_measured(dataset, monkeypatch):
     asked: list[dict[str, Any]] = []
-    monkeypatch.setattr("bask_data.evaluation.evaluated_descriptor", lambda *a, **b: asked.append(b) or {})
+    monkeypatch.setattr(
+        "bask_data.evaluation.network_figures.evaluated_descriptor", lambda *a, **b: asked.append(b) or {}
+    )
     for n in (4, 9):
         names = tuple(f"scene-{i}" for i in range(n))
         monkeypatch.setattr(
-            "bask_data.evaluation.held_out.held_out", lambda *a, names=names: type("", (), {"scenes": names})
+            "bask_data.evaluation.network_figures.held_out", lambda *a, names=names: type("", (), {"scenes": names})
         )
         measure(dataset).descriptors()
     assert [(len(one["scenes"]), one["pairs"]) for one in asked] == [(0, 12), (8, 6)]

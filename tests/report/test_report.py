@@ -12,12 +12,13 @@ import pytest
 from bask_data.artifact import MANIFEST
 from bask_data.core.geometry import invert_rigid, project, transform
 from bask_data.dataset import Dataset, Splits, Variant
+from bask_data.evaluation.finder import Finder
+from bask_data.evaluation.lookup import find_recording
+from bask_data.evaluation.reference_points import TruePlaces
 from bask_data.kinds import DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Truth, VisibleMasks
 from bask_data.report import summarise, write_report
-from bask_data.report.figures import find_recording
 from bask_data.report.heat import _frames_that_show
 from bask_data.report.page import duration, millimetres, number, percent, size
-from bask_data.report.points import Finder, TruePlaces
 from tests.datasets import publish_artifact
 from tests.report.filled import (
     LABELS,

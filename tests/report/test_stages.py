@@ -14,10 +14,10 @@ from bask_data.cli.app import app
 from bask_data.dataset import Dataset
 from bask_data.drawing.pictures import mask_picture
 from bask_data.drawing.plots import histogram
+from bask_data.evaluation.artifact_figures import view_changes
 from bask_data.kinds import Demonstration, Truth
 from bask_data.kinds.masks import CameraMasks
 from bask_data.report import measure, summarise, write_report
-from bask_data.report.figures import view_changes
 from tests.datasets import publish_artifact
 from tests.report.filled import HEIGHT, LABELS, WIDTH, filled_dataset, make_views, publish_frames, publish_scene
 from tests.report.test_report import Page
@@ -146,7 +146,7 @@ def test_masks_are_looked_at_once_for_page_and_json(dataset, tmp_path, monkeypat
 
 
 def test_of_long_recordings_frames_spread_over_them_are_looked_at(tmp_path, monkeypatch):
-    monkeypatch.setattr("bask_data.report.figures.MOST_MEASURED", 3)
+    monkeypatch.setattr("bask_data.evaluation.artifact_figures.MOST_MEASURED", 3)
     dataset = filled_dataset(tmp_path / "d")
     masks = summarise(dataset)["masks"]["scan-a"]
     assert (masks["n_frames"], masks["n_measured_frames"], masks["n_labelled_frames"]) == (6, 3, 3)

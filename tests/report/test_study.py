@@ -9,9 +9,9 @@ import pytest
 from bask_data.core.keypoint_scores import PHASES
 from bask_data.dataset import Dataset
 from bask_data.drawing.plots import Curve, line_plot
+from bask_data.evaluation.figures import Measured
 from bask_data.evaluation.keypoint_study import FILE
 from bask_data.report import study, summarise, write_report
-from bask_data.report.figures import Measured
 from bask_data.report.sections import choose
 
 METHODS = ("base: expectation", "ours: expectation", "ours: particle")

@@ -16,6 +16,9 @@ from bask_data.core.geometry import invert_rigid, project, transform, unproject
 from bask_data.dataset import Dataset
 from bask_data.drawing.pictures import heat_picture, palette
 from bask_data.errors import BadData, BaskError, UsageError, WouldOverwrite
+from bask_data.evaluation.finder import Finder
+from bask_data.evaluation.lookup import find_recording
+from bask_data.evaluation.reference_points import TruePlaces
 from bask_data.kinds import (
     Correspondences,
     Demonstration,
@@ -31,8 +34,6 @@ from bask_data.kinds import (
     Truth,
     VisibleMasks,
 )
-from bask_data.report.figures import find_recording
-from bask_data.report.points import Finder, TruePlaces
 from bask_data.view import Choice, Shown, save_recording
 from tests.datasets import publish_artifact, publish_recording
 from tests.report.filled import HEIGHT, WIDTH, filled_dataset, publish_network

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bask_data.report.figures import plain, spread_frames
+from bask_data.evaluation.figures import plain
+from bask_data.evaluation.lookup import spread_frames
 
 
 def test_frames_are_spread_from_first_to_last():
