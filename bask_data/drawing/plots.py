@@ -33,6 +33,11 @@ class Curve:
     """Half the width of a shaded band around it, which ends at zero."""
 
 
+def numbers(values: Sequence[float | None]) -> np.ndarray:
+    """Values as JSON has them, which knows no NaN, as an array (n,): None becomes NaN."""
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+
 def line_plot(
     curves: Sequence[Curve],
     *,

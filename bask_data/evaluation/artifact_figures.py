@@ -11,15 +11,7 @@ import numpy as np
 from bask_data.core import scores
 from bask_data.evaluation.lookup import spread_frames
 from bask_data.evaluation.masks import count_masks, label_groups
-from bask_data.kinds import (
-    Camera,
-    Correspondences,
-    ObjectInstances,
-    Reconstruction,
-    Recording,
-    Truth,
-    VisibleMasks,
-)
+from bask_data.kinds import Camera, Correspondences, ObjectInstances, Reconstruction, Recording, Truth, VisibleMasks
 from bask_data.kinds.truth import ROBOT
 
 SHARED_IOU = 0.05

@@ -23,14 +23,7 @@ from bask_data.evaluation.lookup import UNREADABLE, find, find_recording, find_t
 from bask_data.evaluation.made import made
 from bask_data.evaluation.network_figures import descriptor_figures, descriptors_figures
 from bask_data.evaluation.track_figures import TrackScores, figures_of_track
-from bask_data.kinds import (
-    Correspondences,
-    DescriptorNet,
-    KeypointTrack,
-    ObjectInstances,
-    Reconstruction,
-    VisibleMasks,
-)
+from bask_data.kinds import Correspondences, DescriptorNet, KeypointTrack, ObjectInstances, Reconstruction, VisibleMasks
 
 
 def plain(value: Any) -> Any:

@@ -10,10 +10,7 @@ from bask_data.artifact import MANIFEST, Artifact, Manifest
 from bask_data.dataset import Dataset
 from bask_data.errors import BaskError
 from bask_data.evaluation.places import known
-from bask_data.kinds import (
-    Recording,
-    Truth,
-)
+from bask_data.kinds import Recording, Truth
 
 A = TypeVar("A", bound=Artifact)
 UNREADABLE = (BaskError, LookupError, ValueError, ArithmeticError)

@@ -9,9 +9,7 @@ from bask_data.artifact import Artifact, read_json
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
 from bask_data.evaluation.lookup import find
-from bask_data.kinds import (
-    KINDS,
-)
+from bask_data.kinds import KINDS
 
 
 @dataclass(frozen=True)

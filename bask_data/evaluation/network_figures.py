@@ -9,9 +9,7 @@ from bask_data.errors import BadData
 from bask_data.evaluation.descriptor import evaluated_descriptor
 from bask_data.evaluation.held_out import held_out
 from bask_data.evaluation.lookup import UNREADABLE, find, what_is_wrong
-from bask_data.kinds import (
-    DescriptorNet,
-)
+from bask_data.kinds import DescriptorNet
 
 MOST_NETWORKS = 5
 """Descriptor networks compared: one a preset, and one more."""

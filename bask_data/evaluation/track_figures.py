@@ -14,12 +14,7 @@ from bask_data.dataset import Dataset
 from bask_data.errors import BadData
 from bask_data.evaluation.lookup import find, find_recording, find_truth, input_variant
 from bask_data.evaluation.places import known_of, places_of
-from bask_data.kinds import (
-    KeypointTrack,
-    Pick,
-    ReferenceKeypoints,
-    Truth,
-)
+from bask_data.kinds import KeypointTrack, Pick, ReferenceKeypoints, Truth
 from bask_data.kinds.places import object_poses, picked_label
 
 TOLERANCE_PX = 5.0

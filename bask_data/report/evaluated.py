@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from bask_data.report.sections import N_ROWS, Chosen, Part
+from bask_data.drawing.plots import Curve, line_plot, numbers
+from bask_data.report.chosen import N_ROWS, Chosen, Part
 
 COLOURS = ("#4a90d0", "#d08020", "#3f9f74", "#a07cc0", "#c8504a")
 """Of networks; they read on a light and on a dark page."""
@@ -77,12 +78,10 @@ def _rows(variants: Mapping[str, Any], group: str) -> list[Part]:
 
 
 def _curve_plot(variants: Mapping[str, Any], metric: str, colours: Mapping[str, str]) -> Part:
-    from bask_data.drawing.plots import Curve, line_plot
-
     title, x_label = CURVES[metric]
     curves, legend, end = [], [], 0.0
     for name, told in variants.items():
-        x, y = (_numbers(told["curves"][metric][key]) for key in ("threshold", "share"))
+        x, y = (numbers(told["curves"][metric][key]) for key in ("threshold", "share"))
         curves.append(Curve(x, y, colours[name], thick=True))
         legend.append({"name": name, "colour": colours[name], "last": told["all"][f"area_{metric}"]})
         reached = x[y >= NEARLY_ALL]
@@ -93,12 +92,10 @@ def _curve_plot(variants: Mapping[str, Any], metric: str, colours: Mapping[str, 
 
 def _split_plots(variants: Mapping[str, Any]) -> list[Part]:
     """Cumulative curves of the error, told apart: a plot for each network and what its matches are told apart by."""
-    from bask_data.drawing.plots import Curve, line_plot
-
     plots = []
     for split in SPLITS:
         for name, told in variants.items():
-            x = _numbers(told["curves"]["error_share"]["threshold"])
+            x = numbers(told["curves"]["error_share"]["threshold"])
             bins = {
                 bin_: one["error_share"]
                 for bin_, one in told["curves_by"][split].items()
@@ -106,7 +103,7 @@ def _split_plots(variants: Mapping[str, Any]) -> list[Part]:
             }
             if len(bins) < 2:
                 continue
-            curves = [Curve(x, _numbers(y), SHADES[i % len(SHADES)], thick=True) for i, y in enumerate(bins.values())]
+            curves = [Curve(x, numbers(y), SHADES[i % len(SHADES)], thick=True) for i, y in enumerate(bins.values())]
             areas = [told[f"by_{split}"][bin_]["area_error_share"] for bin_ in bins]
             svg = line_plot(
                 curves,
@@ -124,13 +121,11 @@ def _split_plots(variants: Mapping[str, Any]) -> list[Part]:
 
 
 def _reliability_plot(variants: Mapping[str, Any], colours: Mapping[str, str], radius: float) -> Part:
-    from bask_data.drawing.plots import Curve, line_plot
-
     curves, legend = [Curve(np.array([0.0, 1.0]), np.array([0.0, 1.0]), "", dashed=True)], []
     for name, told in variants.items():
         found = told["calibration"]
-        known = _numbers(found["n"]) > 0
-        promised, kept = (_numbers(found[key])[known] for key in ("confidence", "accuracy"))
+        known = numbers(found["n"]) > 0
+        promised, kept = (numbers(found[key])[known] for key in ("confidence", "accuracy"))
         curves.append(Curve(promised, kept, colours[name], thick=True))
         legend.append({"name": f"{name}, calibration error", "colour": colours[name], "last": found["ece"]})
     svg = line_plot(
@@ -145,7 +140,3 @@ def _reliability_plot(variants: Mapping[str, Any], colours: Mapping[str, str], r
         "it says, below it promises too much."
     )
     return {"title": "Is the heat map's probability true?", "svg": svg, "legend": legend, "caption": caption}
-
-
-def _numbers(values: list[float | None]) -> np.ndarray:
-    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

@@ -21,7 +21,7 @@ from bask_data.evaluation.reference_points import (
     reference_points,
 )
 from bask_data.kinds import Camera, Pick, Recording, ReferenceKeypoints
-from bask_data.report.sections import Chosen, Part, per_item
+from bask_data.report.chosen import Chosen, Part, per_item
 
 N_SCANS = 3
 """Scans whose points are looked for: the first ones of each set of objects."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,11 @@ import numpy as np
 from bask_data.artifact import read_json
 from bask_data.dataset import Dataset
 from bask_data.drawing.pictures import Mark, marks_picture, palette
+from bask_data.drawing.plots import Curve, line_plot, numbers
 from bask_data.errors import BadData
 from bask_data.evaluation.keypoint_study import FILE, is_current
 from bask_data.evaluation.lookup import find_recording
-from bask_data.report.sections import Chosen, Part
+from bask_data.report.chosen import Chosen, Part
 
 COLOURS = ("#a0673a", "#7fb2e5", "#2f6db5", "#e08a1e", "#2f9e5b", "#8a5fb5")
 """Of methods; the first, brown, is the base network's."""
@@ -101,7 +102,7 @@ def draw_over_time(axes: Any, group: Mapping[str, Any], what: str, colours: Mapp
     moments = np.array(group["moments"])
     share = np.zeros(len(moments))
     for phase, colour in PHASE_COLOURS.items():
-        above = share + _numbers(group["share_of"][phase])
+        above = share + numbers(group["share_of"][phase])
         axes.fill_between(
             moments,
             share,
@@ -115,7 +116,7 @@ def draw_over_time(axes: Any, group: Mapping[str, Any], what: str, colours: Mapp
         share = above
     highest = 0.0
     for name, told in group["methods"].items():
-        mean, deviation = (100 * _numbers(told["over_time"][f"{what}_{one}"]) for one in ("mean", "deviation"))
+        mean, deviation = (100 * numbers(told["over_time"][f"{what}_{one}"]) for one in ("mean", "deviation"))
         axes.fill_between(
             moments, np.maximum(mean - deviation, 0), mean + deviation, color=colours[name], alpha=0.13, linewidth=0
         )
@@ -162,7 +163,7 @@ def _draw_example(
         height, width = image.shape[:2]
         axes.imshow(image)
         for name, pixels in example["pixel"].items():
-            u, v = _numbers(pixels[i])
+            u, v = numbers(pixels[i])
             axes.plot(
                 np.clip(u, 0, width - 1),
                 np.clip(v, 0, height - 1),
@@ -172,7 +173,7 @@ def _draw_example(
                 markeredgecolor="white",
                 markeredgewidth=0.8,
             )
-        u, v = _numbers(example["truth"][i])
+        u, v = numbers(example["truth"][i])
         axes.plot(
             np.clip(u, 0, width - 1),
             np.clip(v, 0, height - 1),
@@ -193,10 +194,6 @@ def _frame(dataset: Dataset, recording: str, camera: str, i_frame: int) -> np.nd
         where = f"frame {i_frame} of {camera} in {recording}"
         raise BadData(dataset.root, where, expected="the frame the study was made with", got="none")
     return found.camera(camera).rgb(i_frame)
-
-
-def _numbers(values: Sequence[float | None]) -> np.ndarray:
-    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
 # The likelihood model ------------------------------------------------------------------------------------------------
@@ -258,7 +255,7 @@ def _draw_map(axes: Any, group: Mapping[str, Any], variant: str) -> None:
     if not group["examples"]:
         return
     example = group["examples"][0]
-    z = np.array([_numbers(row) for row in example["first_map"][variant]])
+    z = np.array([numbers(row) for row in example["first_map"][variant]])
     least = max(float(np.nanmin(z)), 1e-3)
     # A network that sees nothing has one distance everywhere.
     bins = np.geomspace(least, max(1.001 * float(np.nanmax(z)), 2 * least), 9)
@@ -315,11 +312,9 @@ def _study_part(found: Mapping[str, Any], name: str, colours: Mapping[str, str],
 
 
 def _study_plot(group: Mapping[str, Any], what: str, colours: Mapping[str, str]) -> Part:
-    from bask_data.drawing.plots import Curve, line_plot
-
     moments, curves, legend = np.array(group["moments"]), [], []
     for name, told in group["methods"].items():
-        mean, deviation = (100 * _numbers(told["over_time"][f"{what}_{one}"]) for one in ("mean", "deviation"))
+        mean, deviation = (100 * numbers(told["over_time"][f"{what}_{one}"]) for one in ("mean", "deviation"))
         curves.append(Curve(moments, mean, colours[name], thick=True, deviation=deviation))
         legend.append({"name": name, "colour": colours[name], "last": None})
     highest = max((float(np.nanmax(curve.y, initial=0.0)) for curve in curves), default=0.0)
@@ -334,12 +329,10 @@ def _study_plot(group: Mapping[str, Any], what: str, colours: Mapping[str, str])
 
 
 def _share_plot(group: Mapping[str, Any]) -> Part:
-    from bask_data.drawing.plots import Curve, line_plot
-
     moments, curves, legend = np.array(group["moments"]), [], []
     for colour, (phase, share) in zip(("", *COLOURS), group["share_of"].items(), strict=False):
         if phase != "still":
-            curves.append(Curve(moments, _numbers(share), colour, thick=True))
+            curves.append(Curve(moments, numbers(share), colour, thick=True))
             legend.append({"name": phase, "colour": colour or "currentColor", "last": None})
     svg = line_plot(
         curves, x_label="from the first frame to the last", y_label="share", x_range=(0, 1), y_range=(0, 1.02)

@@ -9,12 +9,7 @@ from bask_data.evaluation.finder import ALPHA, Finder, network_of
 from bask_data.evaluation.lookup import find, find_recording
 from bask_data.kinds import DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints
 from tests.datasets import publish_artifact
-from tests.report.filled import (
-    HEIGHT,
-    WIDTH,
-    filled_dataset,
-    publish_network,
-)
+from tests.report.filled import HEIGHT, WIDTH, filled_dataset, publish_network
 
 
 @pytest.fixture(scope="module")

@@ -22,18 +22,7 @@ from bask_data.kinds.truth import TruthMetadata
 from bask_data.report.study import method_colours, write_pictures
 from bask_data.stages.encode import encode
 from tests.datasets import publish_artifact, publish_recording
-from tests.described import (
-    HALF,
-    HEIGHT,
-    NAMES,
-    WIDTH,
-    K,
-    boxes,
-    coded,
-    described_dataset,
-    publish_network,
-    standing,
-)
+from tests.described import HALF, HEIGHT, NAMES, WIDTH, K, boxes, coded, described_dataset, publish_network, standing
 from tests.scenes import Box, Scene, look_at
 
 N = 14

@@ -12,7 +12,7 @@ from bask_data.drawing.plots import Curve, line_plot
 from bask_data.evaluation import evaluated_descriptor
 from bask_data.kinds import Correspondences, DescriptorNet
 from bask_data.report import evaluated, measure, summarise, write_report
-from bask_data.report.page import number, percent
+from bask_data.report.words import number, percent
 from tests.report.filled import filled_dataset, publish_network
 from tests.report.test_report import Page
 
@@ -99,7 +99,7 @@ def test_bins_without_matches_and_groups_of_one_are_left_out():
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[tuple[list[Curve], dict[str, Any]]]:
     calls: list[tuple[list[Curve], dict[str, Any]]] = []
-    monkeypatch.setattr("bask_data.drawing.plots.line_plot", lambda curves, **how: calls.append((curves, how)) or "")
+    monkeypatch.setattr("bask_data.report.evaluated.line_plot", lambda curves, **how: calls.append((curves, how)) or "")
     return calls
 
 

@@ -18,7 +18,7 @@ from bask_data.evaluation.reference_points import TruePlaces
 from bask_data.kinds import DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Truth, VisibleMasks
 from bask_data.report import summarise, write_report
 from bask_data.report.heat import _frames_that_show
-from bask_data.report.page import duration, millimetres, number, percent, size
+from bask_data.report.words import duration, millimetres, number, percent, size
 from tests.datasets import publish_artifact
 from tests.report.filled import (
     LABELS,

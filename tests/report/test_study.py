@@ -12,7 +12,7 @@ from bask_data.drawing.plots import Curve, line_plot
 from bask_data.evaluation.figures import Measured
 from bask_data.evaluation.keypoint_study import FILE
 from bask_data.report import study, summarise, write_report
-from bask_data.report.sections import choose
+from bask_data.report.chosen import choose
 
 METHODS = ("base: expectation", "ours: expectation", "ours: particle")
 

@@ -1,0 +1,146 @@
+"""The top of the page: what was made, the headline figures, what is missing and what is not shown."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+
+from bask_data.artifact import Artifact
+from bask_data.dataset import Dataset
+from bask_data.evaluation.lookup import UNREADABLE, find, find_recording, find_truth
+from bask_data.evaluation.made import made
+from bask_data.evaluation.track_figures import figures_of_track
+from bask_data.kinds import (
+    Correspondences,
+    DescriptorNet,
+    KeypointTrack,
+    ObjectInstances,
+    Reconstruction,
+    ReferenceKeypoints,
+    VisibleMasks,
+)
+from bask_data.report.chosen import N_ROWS, Chosen, Part
+from bask_data.report.words import count, millimetres, percent
+
+A = TypeVar("A", bound=Artifact)
+
+
+def overview(chosen: Chosen) -> Part:
+    """What was made, the headline figures, what is missing and what is not shown."""
+    artifacts = made(chosen.dataset)
+    return {
+        "headline": _headline(chosen),
+        "artifacts": artifacts[: 3 * N_ROWS],
+        "n_artifacts_left_out": max(len(artifacts) - 3 * N_ROWS, 0),
+        "seconds": sum(one.seconds or 0.0 for one in artifacts),
+        "n_without_record": sum(one.seconds is None for one in artifacts),
+        "bytes": sum(one.bytes for one in artifacts),
+        "missing": _missing(chosen),
+        "left_out": _left_out(chosen),
+    }
+
+
+def _left_out(chosen: Chosen) -> list[str]:
+    sorts = [
+        ("scenes", chosen.dataset.items("scene"), chosen.scenes),
+        ("demonstrations", chosen.dataset.items("demonstration"), chosen.demonstrations),
+    ]
+    return [
+        f"{len(everything)} {sort}: the first {len(shown)} are shown, {len(everything) - len(shown)} are left out, "
+        "and the figures are of those shown."
+        for sort, everything, shown in sorts
+        if len(shown) < len(everything)
+    ]
+
+
+def _missing(chosen: Chosen) -> list[str]:
+    """What could be there and is not, in sentences."""
+    dataset, found = chosen.dataset, []
+    for name in [*chosen.scenes, *chosen.demonstrations]:
+        if find_recording(dataset, name) is None:
+            found.append(f"{name}: its frames are not in the dataset.")
+        if find_truth(dataset, name) is None:
+            found.append(f"No ground truth for {name}: nothing on this page says how right its results are.")
+    of_scenes: list[tuple[type[Artifact], str]] = [
+        (Reconstruction, "reconstruction"),
+        (ObjectInstances, "objects"),
+        (VisibleMasks, "masks"),
+        (Correspondences, "correspondences"),
+    ]
+    of_dataset: list[tuple[type[Artifact], str]] = [
+        (DescriptorNet, "descriptor network"),
+        (ReferenceKeypoints, "reference keypoints"),
+    ]
+    for kind, what in of_scenes:
+        without = [name for name in chosen.scenes if not find(dataset, kind, name)]
+        if without:
+            found.append(f"No {what} yet: {', '.join(without)}.")
+    if not chosen.scenes:
+        found.append("No scan.")
+    for kind, what in of_dataset:
+        if not any(find(dataset, kind, "", variant) for variant in chosen.variants):
+            found.append(f"No {what} yet.")
+    without = [
+        name
+        for name in chosen.demonstrations
+        if not any(find(dataset, KeypointTrack, name, variant) for variant in chosen.variants)
+    ]
+    if without:
+        found.append(f"No keypoints yet: {', '.join(without)}.")
+    if not chosen.demonstrations:
+        found.append("No demonstration, so there is nothing to track keypoints in.")
+    return found
+
+
+def _headline(chosen: Chosen) -> list[tuple[str, str]]:
+    """A handful of (value, what it is)."""
+    dataset, rows = chosen.dataset, []
+    n_frames = sum(camera.n_frames for name in chosen.scenes for camera in _cameras(dataset, name))
+    if n_frames:
+        rows.append((f"{n_frames:,}", f"frames scanned in {count(len(chosen.scenes), 'scene')}"))
+    n_objects = [len(o.instances) for name in chosen.scenes if (o := _readable(find(dataset, ObjectInstances, name)))]
+    if n_objects:
+        rows.append((f"{sum(n_objects)}", "objects found"))
+    ious = [label["iou"] for one in chosen.masks.values() for label in one.get("labels") or []]
+    if ious:
+        rows.append((f"{np.median(ious):.2f}", f"median mask IoU of {count(len(ious), 'labelled object')}"))
+    n_matches = [
+        c.metadata.n_matches for name in chosen.scenes if (c := _readable(find(dataset, Correspondences, name)))
+    ]
+    if n_matches:
+        rows.append((f"{sum(n_matches):,}", "matches between views"))
+    for variant, told in chosen.measured.descriptors().get("variants", {}).items():
+        found = told["all"]["pck_4"]
+        if found is not None:
+            rows.append((percent(found), f"of true matches found within 4 % of the image's diagonal by {variant}"))
+    for name, variant, scored in chosen.tracks:
+        if variant != chosen.tracks[0][1]:  # Other variants are compared in their own section.
+            continue
+        try:
+            found = figures_of_track(scored)
+        except UNREADABLE:  # Its own section says so.
+            continue
+        where = name if variant == "main" else f"{name} ({variant})"
+        rows.append((str(found["n_keypoints"]), f"keypoints tracked over {found['n_frames']} frames of {where}"))
+        if found["error_m"].n:
+            rows.append((millimetres(found["error_m"].median), f"median keypoint error in {where}"))
+        if found["on_object"].n:
+            rows.append((percent(found["on_object"].right), f"of keypoint positions on the right object in {where}"))
+    return rows
+
+
+def _readable(artifact: A | None) -> A | None:
+    """The artifact if its metadata can be read: the headline leaves out what its own section will complain about."""
+    if artifact is None:
+        return None
+    try:
+        _ = artifact.metadata
+    except UNREADABLE:
+        return None
+    return artifact
+
+
+def _cameras(dataset: Dataset, name: str) -> list[Any]:
+    recording = find_recording(dataset, name)
+    return recording.cameras if recording else []

@@ -1,0 +1,213 @@
+"""The sections on views: input frames, masks over them, and matches between two of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bask_data.drawing import pictures as draw
+from bask_data.drawing.plots import histogram
+from bask_data.evaluation.artifact_figures import matches_figures, recording_figures, view_changes
+from bask_data.evaluation.lookup import find, find_recording, find_truth, spread_frames
+from bask_data.kinds import Correspondences, ObjectInstances, Scan, Truth, VisibleMasks
+from bask_data.report.chosen import N_CAMERAS, N_ROWS, PICTURE, TILE, WIDE, Chosen, Part, per_item
+
+N_MATCHES = 30
+
+
+def frames(chosen: Chosen) -> list[Part]:
+    """Colour above depth, a few frames of each recording."""
+
+    def part(name: str) -> Part | None:
+        recording = find_recording(chosen.dataset, name)
+        if recording is None:
+            return None
+        sort = "scan" if isinstance(recording, Scan) else "demonstration"
+        cameras = recording_figures(recording)
+        n_frames = max(chosen.n_frames // min(len(cameras), N_CAMERAS), 2) if cameras else 0
+        return {
+            "title": f"{name} ({sort})",
+            "cameras": [
+                {"name": camera.name, **cameras[camera.name], **_contact_sheet(camera, cameras[camera.name], n_frames)}
+                for camera in recording.cameras[:N_CAMERAS]
+            ],
+            "n_cameras_left_out": max(len(cameras) - N_CAMERAS, 0),
+        }
+
+    return per_item([*chosen.scenes, *chosen.demonstrations], part)
+
+
+def _contact_sheet(camera: Any, found: dict[str, Any], n_frames: int) -> Part:
+    near, far = found["depth_range_m"]
+    tiles = []
+    for i_frame in spread_frames(camera.n_frames, n_frames):
+        depth = draw.depth_picture(_shrunk_depth(camera.depth(i_frame)), near, far)
+        tiles.append(
+            {
+                "frame": i_frame,
+                "colour": draw.jpeg_uri(draw.resize(camera.rgb(i_frame), TILE)),
+                "depth": draw.jpeg_uri(draw.resize(depth, TILE)),
+            }
+        )
+    ticks = [near + (far - near) * share for share in (0, 0.25, 0.5, 0.75, 1)]
+    return {"tiles": tiles, "gradient": draw.turbo_gradient(), "ticks": [f"{tick:.2f}" for tick in ticks]}
+
+
+def _shrunk_depth(depth: np.ndarray) -> np.ndarray:
+    """Depth at the size of a tile, by the nearest pixel."""
+    if depth.shape[1] <= TILE:
+        return depth
+    return draw.resize_labels(depth, (max(1, round(depth.shape[0] * TILE / depth.shape[1])), TILE))
+
+
+def masks(chosen: Chosen) -> list[Part]:
+    """Tinted masks over frames, how visible each instance is, and the IoU with labels."""
+
+    def part(name: str) -> Part | None:
+        found = find(chosen.dataset, VisibleMasks, name)
+        if found is None:
+            return None
+        numbers = chosen.masks[name]
+        if "error" in numbers:
+            return {"title": name, "error": numbers["error"]}
+        truth, scan = find_truth(chosen.dataset, name), find(chosen.dataset, Scan, name)
+        colours = [draw.css(draw.instance_colour(i)) for i in range(1, draw.N_COLOURS + 1)]
+        objects = find(chosen.dataset, ObjectInstances, name)
+        names = {row.id: row.name for row in objects.instances} if objects else {}
+        tiles = [
+            tile
+            for camera in (scan.camera_names[:N_CAMERAS] if scan else [])
+            if camera in found.camera_names
+            for tile in _mask_tiles(
+                scan, found, truth, camera, max(chosen.n_frames // min(len(found.camera_names), 2), 2)
+            )
+        ]
+        return {
+            "title": name,
+            "numbers": numbers,
+            "tiles": tiles,
+            "n_cameras_left_out": max(len(found.camera_names) - N_CAMERAS, 0),
+            "rows": [
+                {**row, "colour": draw.css(draw.instance_colour(row["id"])), "name": names.get(row["id"], "")}
+                for row in numbers["instances"][:N_ROWS]
+            ],
+            "n_rows_left_out": max(len(numbers["instances"]) - N_ROWS, 0),
+            "labels": numbers["labels"],
+            "colours": ["", *colours],
+            "median_iou": float(np.median([row["iou"] for row in numbers["labels"]])) if numbers["labels"] else None,
+        }
+
+    return per_item(chosen.scenes, part)
+
+
+def _mask_tiles(scan: Any, masks: VisibleMasks, truth: Truth | None, camera: str, n_frames: int) -> list[Part]:
+    frames, instances = scan.camera(camera), masks.camera(camera)
+    labelled = truth is not None and camera in truth.camera_names
+    tiles = []
+    for i_frame in spread_frames(min(frames.n_frames, instances.n_frames), n_frames):
+        labels = truth.instance(camera, i_frame) if labelled and truth is not None else None
+        instance, measured = instances.instance(i_frame), instances.measured(i_frame)
+        picture = draw.mask_picture(frames.rgb(i_frame), instance, labels, PICTURE, measured)
+        tiles.append({"uri": draw.jpeg_uri(picture), "text": f"{camera}, frame {i_frame}"})
+    return tiles
+
+
+def matches(chosen: Chosen) -> list[Part]:
+    """Pairs of frames with lines between matching pixels, and why candidates were rejected."""
+
+    def part(name: str) -> Part | None:
+        found = find(chosen.dataset, Correspondences, name)
+        if found is None:
+            return None
+        numbers = matches_figures(found)
+        scan = find(chosen.dataset, Scan, name)
+        most = max([numbers["n_matches"], *numbers["rejections"].values()], default=1) or 1
+        reasons = sorted(numbers["rejections"], key=lambda why: -numbers["rejections"][why])
+        bars = [("accepted", numbers["n_matches"]), *sorted(numbers["rejections"].items(), key=lambda row: -row[1])]
+        return {
+            "title": name,
+            "numbers": numbers,
+            "bars": [{"name": why, "n": n, "width": round(100 * n / most, 1)} for why, n in bars[:N_ROWS]],
+            "tiles": _pair_tiles(scan, found) if scan else [],
+            "reasons": reasons,
+            "table": _tried_per_object(numbers, reasons)[:N_ROWS],
+            "plots": _change_plots(found),
+        }
+
+    return per_item(chosen.scenes, part)
+
+
+def _tried_per_object(numbers: dict[str, Any], reasons: Sequence[str]) -> list[Part]:
+    """By object: how many of its pixels that were tried became matches, and why the others did not."""
+    matches, rejected = numbers["matches_per_instance"], numbers["rejections_per_instance"]
+    rows = []
+    for i in sorted({*matches, *rejected}):
+        counts = [rejected.get(i, {}).get(why, 0) for why in reasons]
+        tried = matches.get(i, 0) + sum(counts)
+        rows.append(
+            {
+                "id": i,
+                "colour": draw.css(draw.instance_colour(i)),
+                "n_matches": matches.get(i, 0),
+                "tried": tried,
+                "share": matches.get(i, 0) / tried if tried else None,
+                "shares": [n / tried if tried else None for n in counts],
+            }
+        )
+    return rows
+
+
+def _change_plots(correspondences: Correspondences) -> list[Part]:
+    """How different the two views of a pair are."""
+    pairs = correspondences.pairs()
+    if not pairs.num_rows:
+        return []
+    change = view_changes(correspondences.matches())
+    distance, angle = (pairs[name].to_numpy().astype(np.float64) for name in ("distance", "angle"))
+    drawn = [
+        ("Distance of the cameras", 100 * distance, "centimetres", False),
+        ("Angle between them", np.rad2deg(angle), "degrees", False),
+    ]
+    if len(change.scale):
+        drawn += [
+            ("Change of scale", change.scale, "times larger in the second view", True),
+            ("Rotation in the image", np.rad2deg(change.rotation), "degrees", False),
+        ]
+    return [
+        {"title": title, "svg": histogram(values, x_label=x_label, y_label="pairs", logarithmic=logarithmic)}
+        for title, values, x_label, logarithmic in drawn
+    ]
+
+
+def _pair_tiles(scan: Scan, correspondences: Correspondences) -> list[Part]:
+    """The pair with most matches and, if another, the one seen from most different directions with enough of them."""
+    pairs = correspondences.pairs().to_pylist()
+    if not pairs:
+        return []
+    fullest = max(pairs, key=lambda row: row["n_matches"])
+    enough = [row for row in pairs if row["n_matches"] >= max(N_MATCHES, 0.1 * fullest["n_matches"])]
+    widest = max(enough, key=lambda row: row["angle"], default=fullest)
+    tiles = []
+    for row, why in ((fullest, "most matches"), (widest, "widest angle")):
+        known = row["camera_a"] in scan.camera_names and row["camera_b"] in scan.camera_names
+        if not known or (why == "widest angle" and widest is fullest):
+            continue
+        table = correspondences.matches([row["pair"]])
+        columns = {name: table[name].to_numpy() for name in ("u_a", "v_a", "u_b", "v_b", "instance")}
+        some = draw.spread_matches(columns["instance"], N_MATCHES)
+        picture = draw.matches_picture(
+            scan.camera(row["camera_a"]).rgb(row["frame_a"]),
+            scan.camera(row["camera_b"]).rgb(row["frame_b"]),
+            np.stack([columns["u_a"], columns["v_a"]], axis=1)[some],
+            np.stack([columns["u_b"], columns["v_b"]], axis=1)[some],
+            WIDE,
+        )
+        text = (
+            f"{why}: {row['camera_a']} frame {row['frame_a']} and {row['camera_b']} frame {row['frame_b']}, "
+            f"{100 * row['distance']:.1f} cm and {np.rad2deg(row['angle']):.0f}° apart; "
+            f"{len(some)} of {row['n_matches']:,} matches drawn"
+        )
+        tiles.append({"uri": draw.jpeg_uri(picture), "text": text})
+    return tiles
