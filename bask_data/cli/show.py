@@ -70,7 +70,8 @@ def view(
     from tempfile import TemporaryDirectory
 
     from bask_data.kinds import DescriptorNet, KeypointTrack, ReferenceKeypoints
-    from bask_data.view import Choice, save_recording
+    from bask_data.view.choice import Choice
+    from bask_data.view.saving import save_recording
     from bask_data.view.windows import has_display, serve, show
 
     dataset = Dataset(root)

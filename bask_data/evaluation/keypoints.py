@@ -38,7 +38,7 @@ seem smaller, by some millimetres."""
 
 
 @dataclass(frozen=True)
-class Keypoints:
+class PickedPoints:
     """Points fixed to objects, and where they were picked.
 
     Attributes:
@@ -134,7 +134,7 @@ def _sets_of_objects(dataset: Dataset, scenes: Sequence[str]) -> dict[tuple[str,
     return found
 
 
-def _picked(dataset: Dataset, scenes: Sequence[str], end: float, n: int, seed: int) -> Keypoints:
+def _picked(dataset: Dataset, scenes: Sequence[str], end: float, n: int, seed: int) -> PickedPoints:
     """Random pixels, as equally many of each object as can be, of the first scene's view that shows most of them.
 
     Args:
@@ -151,7 +151,7 @@ def _picked(dataset: Dataset, scenes: Sequence[str], end: float, n: int, seed: i
     uv, label = drawn_pixels(frames, frame, depth > 0, n, rng)
     points = transform(world, surface_tangents(uv, depth, labels, frames.K(frame.camera))[0])
     poses = _world_from_objects(frames)
-    return Keypoints(
+    return PickedPoints(
         frames.scene,
         frame,
         uv,
@@ -195,7 +195,7 @@ def _shapes(dataset: Dataset, scenes: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def _places(
-    keypoints: Keypoints, dataset: Dataset, scenes: Sequence[str], span: tuple[float, float], is_other: bool
+    keypoints: PickedPoints, dataset: Dataset, scenes: Sequence[str], span: tuple[float, float], is_other: bool
 ) -> list[Place]:
     """Where the keypoints are in all views of some scenes that have their objects.
 
@@ -217,7 +217,7 @@ def _places(
     return places
 
 
-def _on_other_instances(keypoints: Keypoints, shapes: dict[str, np.ndarray]) -> np.ndarray:
+def _on_other_instances(keypoints: PickedPoints, shapes: dict[str, np.ndarray]) -> np.ndarray:
     """The keypoints (k, 3) on instances of other shapes: at the same share of the box along each axis, and from there
     on to the nearest of the surface. What has the same box is the same instance."""
     import numpy as np

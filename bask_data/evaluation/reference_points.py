@@ -92,7 +92,7 @@ def frame_of(dataset: Dataset, pick: Pick) -> np.ndarray | None:
 
 
 @dataclass(frozen=True)
-class TruePixels:
+class PointsInFrame:
     """Where k points are in one frame.
 
     Args:
@@ -134,10 +134,10 @@ class TruePlaces:
             for pick, label, name in zip(self._picks, on.labels, on.names, strict=True)
         ]
 
-    def pixels(self, camera: Camera, i_frame: int) -> TruePixels:
+    def pixels(self, camera: Camera, i_frame: int) -> PointsInFrame:
         """Where the points are in a frame, and whether it shows them."""
         points = self.places[min(i_frame, len(self.places) - 1)]
         uv, inside, hidden = true_pixels(points, camera, self._truth, i_frame)
         columns = zip(np.isfinite(points).all(axis=1), inside, hidden, strict=True)
         states = [UNKNOWN if not k else OUTSIDE if not i else BEHIND if h else SEEN for k, i, h in columns]
-        return TruePixels(uv, states)
+        return PointsInFrame(uv, states)

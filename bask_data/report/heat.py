@@ -15,7 +15,7 @@ from bask_data.evaluation.reference_points import (
     BEHIND,
     SEEN,
     UNKNOWN,
-    TruePixels,
+    PointsInFrame,
     TruePlaces,
     frame_of,
     reference_points,
@@ -154,12 +154,12 @@ def _frames_that_show(
     return camera, [frames[i] for i in spread_frames(len(frames), n_frames)]
 
 
-def _n_seen(truth: TruePixels, indices: Sequence[int]) -> int:
+def _n_seen(truth: PointsInFrame, indices: Sequence[int]) -> int:
     return sum(truth.states[i] == SEEN for i in indices)
 
 
 def _heat_tile(
-    rgb: np.ndarray, sight: Sight, row: int, truth: TruePixels, i: int, colour: draw.Colour, i_frame: int
+    rgb: np.ndarray, sight: Sight, row: int, truth: PointsInFrame, i: int, colour: draw.Colour, i_frame: int
 ) -> Part:
     state = truth.states[i]
     mark = draw.Mark(i + 1, sight.best[row], colour, truth=truth.uv[i] if state in (SEEN, BEHIND) else None)

@@ -20,8 +20,8 @@ from bask_data.kinds import Camera, Demonstration, DescriptorNet, KeypointTrack,
 from bask_data.progress import progress
 from bask_data.stages.encode import EncodeParams, cameras_of, dropped, grippers_of, settings_of
 from bask_data.tracker import KeypointTracker, moment_of
-from bask_data.view import Choice
-from bask_data.view.sheet import CORNER, Drawn, Sheet, jpeg, reading
+from bask_data.view.choice import Choice
+from bask_data.view.sheet import CORNER, DrawnItem, Sheet, jpeg, reading
 
 N_PARTICLES = 150
 """Particles shown of each keypoint, drawn by their weight: as many more would only hide them."""
@@ -31,7 +31,9 @@ WIDTH = 256
 """Pixels of a map's picture, at most."""
 
 
-def draw_beliefs(sheet: Sheet, drawn: Drawn, dataset: Dataset, demonstration: Demonstration, choice: Choice) -> None:
+def draw_beliefs(
+    sheet: Sheet, drawn: DrawnItem, dataset: Dataset, demonstration: Demonstration, choice: Choice
+) -> None:
     """Track again as the demonstration's track was made, and show particles, or maps over pixels, in each frame."""
     track = find(dataset, KeypointTrack, demonstration.path.name, choice.variant)
     if track is None:
@@ -67,7 +69,7 @@ def _tracker(dataset: Dataset, track: KeypointTrack, variant: str) -> tuple[Keyp
     return KeypointTracker(descriptor, reference, settings_of(params), params.seed, cameras=track.camera_names), params
 
 
-def _draw(sheet: Sheet, drawn: Drawn, tracker: KeypointTracker, cameras: Sequence[Camera], i_frame: int) -> None:
+def _draw(sheet: Sheet, drawn: DrawnItem, tracker: KeypointTracker, cameras: Sequence[Camera], i_frame: int) -> None:
     if tracker.belief is None:
         return
     belief = tracker.hypotheses()
@@ -108,7 +110,7 @@ def _in_image(points_world: np.ndarray, seen: Observation, camera: Camera) -> np
 
 def _draw_maps(
     sheet: Sheet,
-    drawn: Drawn,
+    drawn: DrawnItem,
     tracker: KeypointTracker,
     cameras: Sequence[Camera],
     name: str,

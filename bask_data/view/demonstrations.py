@@ -11,15 +11,15 @@ from bask_data.errors import BadData
 from bask_data.evaluation.lookup import find
 from bask_data.kinds import Demonstration, KeypointTrack, Recording
 from bask_data.progress import progress
-from bask_data.view import Choice
-from bask_data.view.sheet import CORNER, ORANGE, Drawn, Sheet, expect, reading
+from bask_data.view.choice import Choice
+from bask_data.view.sheet import CORNER, ORANGE, DrawnItem, Sheet, expect, reading
 
 N_LABELLED = 8
 """More names than this at once hide what they name; the viewer shows those of points pointed at."""
 
 
 def draw_demonstration(
-    sheet: Sheet, drawn: Drawn, dataset: Dataset, name: str, source: Recording | None, choice: Choice
+    sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str, source: Recording | None, choice: Choice
 ) -> None:
     """The gripper's way and the keypoints', in the scene, in the images and over time."""
     if isinstance(source, Demonstration):
@@ -41,7 +41,7 @@ def _seconds(source: Recording | None, n: int) -> list[float | None]:
     return [None] * n
 
 
-def _draw_robot(sheet: Sheet, drawn: Drawn, source: Demonstration, every: int) -> None:
+def _draw_robot(sheet: Sheet, drawn: DrawnItem, source: Demonstration, every: int) -> None:
     import rerun as rr
 
     robot = source.robot

@@ -14,11 +14,11 @@ from bask_data.evaluation.lookup import find, find_truth, spread_frames
 from bask_data.kinds import Camera, Recording, Scan, VisibleMasks
 from bask_data.kinds.masks import CameraMasks
 from bask_data.progress import progress
-from bask_data.view import Choice
-from bask_data.view.sheet import CORNER, GREY, Drawn, Sheet, expect, jpeg, name_labels, reading
+from bask_data.view.choice import Choice
+from bask_data.view.sheet import CORNER, GREY, DrawnItem, Sheet, expect, jpeg, name_labels, reading
 
 
-def draw_frames(sheet: Sheet, drawn: Drawn, dataset: Dataset, name: str, source: Recording, choice: Choice) -> None:
+def draw_frames(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str, source: Recording, choice: Choice) -> None:
     """Every camera of a recording."""
     masks = find(dataset, VisibleMasks, name) if isinstance(source, Scan) else None
     truth = find_truth(dataset, name)

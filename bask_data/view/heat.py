@@ -9,11 +9,11 @@ from bask_data.dataset import Dataset
 from bask_data.drawing.pictures import Mark, heat_picture, marks_picture, palette
 from bask_data.evaluation.finder import Finder, Sight, network_of
 from bask_data.evaluation.lookup import spread_frames
-from bask_data.evaluation.reference_points import BEHIND, SEEN, TruePixels, TruePlaces, frame_of, reference_points
+from bask_data.evaluation.reference_points import BEHIND, SEEN, PointsInFrame, TruePlaces, frame_of, reference_points
 from bask_data.kinds import Camera, Pick, Recording
 from bask_data.progress import progress
-from bask_data.view import Choice
-from bask_data.view.sheet import CORNER, GREY, Drawn, Sheet, jpeg, reading
+from bask_data.view.choice import Choice
+from bask_data.view.sheet import CORNER, GREY, DrawnItem, Sheet, jpeg, reading
 
 N_POINTS = 16
 N_FRAMES = 40
@@ -23,7 +23,7 @@ WIDTH = 320
 WHITE = (255, 255, 255)
 
 
-def draw_heat(sheet: Sheet, drawn: Drawn, dataset: Dataset, name: str, source: Recording, choice: Choice) -> None:
+def draw_heat(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str, source: Recording, choice: Choice) -> None:
     """A heat map for each point, with its best match and its true place."""
     descriptor = network_of(dataset, choice.variant)
     if descriptor is None:
@@ -68,7 +68,7 @@ def _draw_point(
     rgb: np.ndarray,
     sight: Sight,
     row: int,
-    truth: TruePixels,
+    truth: PointsInFrame,
     i: int,
     colour: tuple[int, int, int],
 ) -> None:

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from bask_data.view.sheet import Drawn
+from bask_data.view.sheet import DrawnItem
 
 BACKGROUND = [24, 26, 30]
 """Of the space: light surfaces and coloured lines stand out from it, whatever the viewer's theme."""
 
 
-def layout(items: Sequence[Drawn]) -> Any:
+def layout(items: Sequence[DrawnItem]) -> Any:
     """A blueprint in which everything that matters is seen at once, and the rest is a click away."""
     import rerun.blueprint as rrb
 
@@ -26,7 +26,7 @@ def layout(items: Sequence[Drawn]) -> Any:
     )
 
 
-def _item(item: Drawn) -> Any:
+def _item(item: DrawnItem) -> Any:
     import rerun.blueprint as rrb
 
     beside, heat = _beside(item), _heat(item)
@@ -39,7 +39,7 @@ def _item(item: Drawn) -> Any:
     return rrb.Horizontal(*parts, column_shares=[5, 4][: len(parts)], name=item.name)
 
 
-def _heat(item: Drawn) -> Any:
+def _heat(item: DrawnItem) -> Any:
     """All points beside each other, and where they were picked; a tab for each camera, and for what a filter believes
     of it. None without any."""
     import rerun.blueprint as rrb
@@ -68,7 +68,7 @@ def _heat(item: Drawn) -> Any:
     return rrb.Tabs(*cameras, active_tab=0) if cameras else None
 
 
-def _scene(item: Drawn) -> Any:
+def _scene(item: DrawnItem) -> Any:
     """The surface, or the same by instance; where there is none, the points of the measured depth."""
     import rerun.blueprint as rrb
 
@@ -82,7 +82,7 @@ def _scene(item: Drawn) -> Any:
     return rrb.Tabs(*tabs, active_tab=0)
 
 
-def _space(item: Drawn, name: str, *, hidden: Sequence[str], depth: bool) -> Any:
+def _space(item: DrawnItem, name: str, *, hidden: Sequence[str], depth: bool) -> Any:
     import rerun.blueprint as rrb
 
     root = f"/{item.name}/world"
@@ -99,7 +99,7 @@ def _space(item: Drawn, name: str, *, hidden: Sequence[str], depth: bool) -> Any
     )
 
 
-def _beside(item: Drawn) -> list[list[Any]]:
+def _beside(item: DrawnItem) -> list[list[Any]]:
     """Images, matches and plots; of each group one is seen at a time."""
     import rerun.blueprint as rrb
 
@@ -113,7 +113,7 @@ def _beside(item: Drawn) -> list[list[Any]]:
     return [group for group in (images, matches, plots) if group]
 
 
-def _images(item: Drawn, camera: str) -> Any:
+def _images(item: DrawnItem, camera: str) -> Any:
     import rerun.blueprint as rrb
 
     origin = f"/{item.name}/world/cameras/{_escaped(camera)}"

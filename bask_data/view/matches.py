@@ -13,14 +13,14 @@ from bask_data.errors import BadData
 from bask_data.evaluation.lookup import find, spread_frames
 from bask_data.kinds import Camera, Correspondences, Scan
 from bask_data.progress import progress
-from bask_data.view.sheet import CORNER, Drawn, Sheet, jpeg, reading
+from bask_data.view.sheet import CORNER, DrawnItem, Sheet, jpeg, reading
 
 N_MATCHES = 60
 GAP_PX = 8
 """Between the two images of a pair."""
 
 
-def draw_matches(sheet: Sheet, drawn: Drawn, dataset: Dataset, name: str, scan: Scan, n_pairs: int) -> None:
+def draw_matches(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str, scan: Scan, n_pairs: int) -> None:
     """Pairs of views beside each other with lines between matches, and what they show as points in the scene."""
     found = find(dataset, Correspondences, name)
     if found is None:

@@ -12,14 +12,14 @@ from bask_data.drawing.mesh import up_direction
 from bask_data.drawing.pictures import instance_colours
 from bask_data.evaluation.lookup import find, spread_frames
 from bask_data.kinds import ObjectInstances, Reconstruction, Recording
-from bask_data.view.sheet import Drawn, Eye, Sheet, expect, label_colour, name_labels, reading
+from bask_data.view.sheet import DrawnItem, Eye, Sheet, expect, label_colour, name_labels, reading
 
 N_EYE_POINTS = 20_000
 FAR_ENOUGH = 1.9
 """Radii of a ball from which a view of 55 degrees sees nearly all of it."""
 
 
-def draw_scene(sheet: Sheet, drawn: Drawn, dataset: Dataset, name: str) -> np.ndarray:
+def draw_scene(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str) -> np.ndarray:
     """The mesh in its colours and by instance, with a box around each; gives the mesh's vertices."""
     mesh, objects = find(dataset, Reconstruction, name), find(dataset, ObjectInstances, name)
     vertices = np.zeros((0, 3), np.float32)

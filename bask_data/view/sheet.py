@@ -14,7 +14,7 @@ from bask_data.artifact import REMAKE, Artifact
 from bask_data.drawing.pictures import Colour, instance_colour
 from bask_data.errors import BadData, BaskError
 from bask_data.kinds.truth import ROBOT
-from bask_data.view import Shown
+from bask_data.view.choice import Shown
 
 if TYPE_CHECKING:
     import rerun
@@ -39,7 +39,7 @@ class Eye:
 
 
 @dataclass
-class Drawn:
+class DrawnItem:
     """One item in the recording.
 
     Args:

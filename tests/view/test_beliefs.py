@@ -9,8 +9,10 @@ from bask_data.dataset import Dataset
 from bask_data.engine import make, plan
 from bask_data.kinds import DescriptorNet, KeypointTrack
 from bask_data.stages.encode import encode
-from bask_data.view import Choice, drawing, save_recording
+from bask_data.view import item
 from bask_data.view.beliefs import N_PARTICLES
+from bask_data.view.choice import Choice
+from bask_data.view.saving import save_recording
 from tests.tracked import N_FRAMES, ColourNetwork, dataset_of, poses, publish_references
 from tests.view.recordings import Recording
 
@@ -21,7 +23,7 @@ pytest.importorskip("rerun")
 def network(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(DescriptorNet, "network", lambda self: ColourNetwork())
     # Heat maps are another test's.
-    monkeypatch.setattr(drawing, "draw_heat", lambda *_: None)
+    monkeypatch.setattr(item, "draw_heat", lambda *_: None)
 
 
 def tracked_dataset(root: Path, **options) -> Dataset:

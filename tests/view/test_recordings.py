@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 
-from bask_data import view
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
 from bask_data.dataset import Dataset
 from bask_data.drawing.pictures import heat_picture, palette
@@ -34,7 +33,9 @@ from bask_data.kinds import (
     Truth,
     VisibleMasks,
 )
-from bask_data.view import Choice, Shown, save_recording
+from bask_data.view import saving
+from bask_data.view.choice import Choice, Shown
+from bask_data.view.saving import save_recording
 from tests.datasets import publish_artifact, publish_recording
 from tests.report.filled import HEIGHT, WIDTH, filled_dataset, publish_network
 from tests.view.recordings import Recording, colours, publish_demonstration
@@ -511,7 +512,8 @@ def test_rerun_switched_off_is_said_so(dataset, tmp_path):
 from pathlib import Path
 from types import SimpleNamespace
 from bask_data.dataset import Dataset
-from bask_data.view import Choice, save_recording
+from bask_data.view.choice import Choice
+from bask_data.view.saving import save_recording
 save_recording(Dataset({str(dataset.root)!r}), Path({str(tmp_path / "a.rrd")!r}), Choice(["scan-a"]))
 """
     ended = subprocess.run([sys.executable, "-c", code], env={"RERUN": "off"}, capture_output=True, text=True)
@@ -524,7 +526,8 @@ import resource
 from pathlib import Path
 from types import SimpleNamespace
 from bask_data.dataset import Dataset
-from bask_data.view import Choice, save_recording
+from bask_data.view.choice import Choice
+from bask_data.view.saving import save_recording
 dataset = Dataset({str(dataset.root)!r})
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 save_recording(dataset, Path({str(tmp_path / "a.rrd")!r}), Choice(["scan-a"]))
@@ -539,10 +542,10 @@ def test_a_writer_that_never_ends_is_given_up(monkeypatch):
 
     released, unregistered = threading.Event(), []
     monkeypatch.setattr(rerun, "unregister_shutdown", lambda: unregistered.append(True))
-    assert not view._closed(SimpleNamespace(disconnect=released.wait), seconds=0.05)
+    assert not saving._closed(SimpleNamespace(disconnect=released.wait), seconds=0.05)
     assert unregistered == [True]
     released.set()
-    assert view._closed(SimpleNamespace(disconnect=lambda: None), seconds=10)
+    assert saving._closed(SimpleNamespace(disconnect=lambda: None), seconds=10)
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peaks are read from /proc")
@@ -568,7 +571,8 @@ def test_memory_does_not_grow_with_the_frames(tmp_path):
 from pathlib import Path
 from types import SimpleNamespace
 from bask_data.dataset import Dataset
-from bask_data.view import Choice, save_recording
+from bask_data.view.choice import Choice
+from bask_data.view.saving import save_recording
 save_recording(Dataset({str(dataset.root)!r}), Path({str(file)!r}), Choice([{item!r}]))
 # What getrusage tells of a child begins with its parent's size.
 print(next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if line[:6] == "VmHWM:"))

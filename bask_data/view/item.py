@@ -21,22 +21,22 @@ import numpy as np
 from bask_data.dataset import Dataset
 from bask_data.evaluation.lookup import find_recording
 from bask_data.kinds import Demonstration, Scan
-from bask_data.view import Choice, Shown
 from bask_data.view.beliefs import draw_beliefs
+from bask_data.view.choice import Choice, Shown
 from bask_data.view.demonstrations import draw_demonstration
 from bask_data.view.frames import draw_frames
 from bask_data.view.heat import draw_heat
 from bask_data.view.matches import draw_matches
 from bask_data.view.scenes import draw_scene, first_eye, measured_points, support_plane
-from bask_data.view.sheet import Drawn, Sheet, reading
+from bask_data.view.sheet import DrawnItem, Sheet, reading
 
 if TYPE_CHECKING:
     import rerun
 
 
-def draw_item(recording: rerun.RecordingStream, dataset: Dataset, name: str, choice: Choice) -> Drawn:
+def draw_item(recording: rerun.RecordingStream, dataset: Dataset, name: str, choice: Choice) -> DrawnItem:
     """Put everything that was made of an item into the recording."""
-    sheet, drawn = Sheet(recording, name), Drawn(name, Shown())
+    sheet, drawn = Sheet(recording, name), DrawnItem(name, Shown())
     source = find_recording(dataset, name)
     points = np.zeros((0, 3))
     if name in dataset.file.scenes:
