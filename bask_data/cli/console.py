@@ -1,19 +1,23 @@
-"""What a person sees: progress with an estimate, outcomes, errors. All on stderr; stdout is for `--json`."""
+"""What a person sees: results on stdout, so that they pipe; progress, outcomes, notes and errors on stderr."""
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bask_data import progress
-from bask_data.engine import Outcome
 from bask_data.errors import BaskError
 
+if TYPE_CHECKING:
+    from bask_data.engine import Outcome
+
 _SECONDS_BETWEEN_LINES = 10.0
+"""Of progress in a log: often enough to see that it goes on, seldom enough to read the rest."""
 _ESCAPES = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _MARKS = {
     "made": "made",
@@ -27,6 +31,15 @@ _MARKS = {
 def say(text: str) -> None:
     """One line on stderr. Escape sequences go: they come from libraries' colours, or from names in strangers' files."""
     print(_ESCAPES.sub("", text), file=sys.stderr, flush=True)
+
+
+def print_result(command: str, lines: Iterable[str], document: Mapping[str, Any], as_json: bool) -> None:
+    """What a command was asked for, on stdout: lines for a person, or one JSON document for a program."""
+    if as_json:
+        print(json.dumps({"command": command, **document}, indent=2), flush=True)
+        return
+    for line in lines:
+        print(_ESCAPES.sub("", line), flush=True)
 
 
 def show_outcome(outcome: Outcome) -> None:

@@ -8,33 +8,57 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from bask_data.cli.commands import CommandList
 from bask_data.cli.console import say, show_outcome, shown_progress
-from bask_data.cli.options import Json, Root, add_command, checked_options, names_of, option_of, parameter
+from bask_data.cli.options import Json, Root, add_command, checked_options, names_of, options_of, parameter
 from bask_data.cli.working import finish, quoted
 from bask_data.formats import FORMATS, Format
 from bask_data.sim.options import SimOptions, TaskName
 
-app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="Read a recording into a dataset; one sub-command per format."
+EXAMPLES = {
+    "frames": """
+    bask-data ingest frames recordings/table data/demo --scene table --intrinsics 525,525,319.5,239.5
+    bask-data ingest frames recordings/pour data/demo --scene pour1 --as demonstration --camera wrist
+    """,
+    "tum": """
+    bask-data ingest tum rgbd_dataset_freiburg1_desk data/demo --scene desk --intrinsics freiburg1
+    """,
+    "apc": """
+    bask-data ingest apc datasets/apc_shelf data/demo --scene shelf
+    """,
+    "sim": """
+    bask-data ingest sim data/demo --task lid
+    bask-data ingest sim data/demo --task phone --scans 10 --demonstrations 20 --clutter 4
+    """,
+}
+
+Source = Annotated[Path, typer.Argument(help="The recording's folder.", metavar="SOURCE", exists=True, file_okay=False)]
+Scene = Annotated[str, typer.Option("--scene", help="Name of the recording in the dataset.", metavar="NAME")]
+As = Annotated[
+    Literal["scan", "demonstration"], typer.Option("--as", help="A scan of a static scene, or a demonstration.")
+]
+
+app = CommandList(
+    name="ingest",
+    no_args_is_help=True,
+    help="Read a recording into a dataset; one sub-command per format.",
+    epilog=EXAMPLES["frames"],
 )
 
 
+@app.callback()
+def _group() -> None:
+    """Keep the formats below a name of their own."""
+
+
 def _add_format(format: Format) -> None:
-    source = Annotated[
-        Path, typer.Argument(help="The recording's folder.", metavar="SOURCE", exists=True, file_okay=False)
-    ]
-    scene = Annotated[str, typer.Option("--scene", help="Name of the recording in the dataset.", metavar="NAME")]
-    as_ = Annotated[
-        Literal["scan", "demonstration"], typer.Option("--as", help="A scan of a static scene, or a demonstration.")
-    ]
-    replace = Annotated[bool, typer.Option("--force", help="Replace a recording of that name.")]
     parameters = [
-        parameter("source", source, inspect.Parameter.empty),
+        parameter("source", Source, inspect.Parameter.empty),
         parameter("root", Root, inspect.Parameter.empty),
-        parameter("scene", scene, inspect.Parameter.empty),
-        parameter("as_", as_, "scan"),
-        *[option_of(name, field) for name, field in format.options.model_fields.items()],
-        parameter("force", replace, False),
+        parameter("scene", Scene, inspect.Parameter.empty),
+        parameter("as_", As, "scan"),
+        *options_of(format.name, format.options),
+        _replace("Replace a recording of that name."),
         parameter("json_", Json, False),
     ]
 
@@ -52,30 +76,27 @@ def _add_format(format: Format) -> None:
             show_outcome(outcome)
         finish(f"ingest {format.name}", outcomes, json_, f"bask-data run {quoted(root)}", assumptions=assumptions)
 
-    add_command(app, format.name, format.help, parameters, body)
+    add_command(app, format.name, parameters, body, help=format.help, epilog=EXAMPLES.get(format.name))
 
 
-for _format in FORMATS:
-    _add_format(_format)
+def _replace(help: str) -> inspect.Parameter:
+    return parameter("force", Annotated[bool, typer.Option("--force", help=help)], False)
 
 
 def _add_simulator() -> None:
     def counted(what: str) -> Any:
         return Annotated[int, typer.Option(min=0, help=f"Number of {what}.")]
 
-    only = Annotated[
-        str, typer.Option(help="Only these, whatever the numbers say: lid_scan0,lid_demo3.", metavar="NAMES")
-    ]
-    fields = SimOptions.model_fields
-    task = Annotated[TaskName, typer.Option("--task", help=fields["task"].description)]
+    only = typer.Option(help="Only these, whatever the numbers say: lid_scan0,lid_demo3.", metavar="NAMES")
+    task = typer.Option("--task", help=SimOptions.model_fields["task"].description)
     parameters = [
         parameter("root", Root, inspect.Parameter.empty),
-        parameter("task", task, inspect.Parameter.empty),
+        parameter("task", Annotated[TaskName, task], inspect.Parameter.empty),
         parameter("scans", counted("scans of the objects, each in another place"), 5),
         parameter("demonstrations", counted("demonstrations of the task"), 14),
-        *[option_of(name, field) for name, field in fields.items() if name != "task"],
-        parameter("only", only, ""),
-        parameter("force", Annotated[bool, typer.Option("--force", help="Replace recordings of those names.")], False),
+        parameter("only", Annotated[str, only], ""),
+        *options_of("sim", SimOptions, without=("task",)),
+        _replace("Replace recordings of those names."),
         parameter("json_", Json, False),
     ]
 
@@ -95,8 +116,10 @@ def _add_simulator() -> None:
         following = f"bask-data run {quoted(root)}"
         finish("ingest sim", outcomes, json_, following, failed_demonstrations=n_failed)
 
-    help_ = "Simulate a tabletop task: scans and demonstrations whose truth is known exactly."
-    add_command(app, "sim", help_, parameters, body)
+    help = "Simulate a tabletop task: scans and demonstrations whose truth is known exactly."
+    add_command(app, "sim", parameters, body, help=help, epilog=EXAMPLES["sim"])
 
 
+for _format in FORMATS:
+    _add_format(_format)
 _add_simulator()

@@ -11,16 +11,37 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer
 
-from bask_data.cli.failures import reporting
+from bask_data.cli import completion
+from bask_data.cli.commands import CommandList
+from bask_data.cli.panels import ELSEWHERE, OUTPUT, WORKERS, panels_of
 from bask_data.errors import UsageError
 from bask_data.params import Params, first_fault
 from bask_data.presets import PresetName
 
 Root = Annotated[Path, typer.Argument(help="The dataset's directory.", metavar="ROOT")]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
-Only = Annotated[str, typer.Option(help="Only these scenes or demonstrations, separated by commas.", metavar="NAMES")]
-Jobs = Annotated[int, typer.Option(min=1, help="Items worked on at the same time, each in a process of its own.")]
-Cluster = Annotated[str, typer.Option(help="Dask scheduler to work on instead: tcp://host:8786.", metavar="ADDRESS")]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print the result as JSON, alone on stdout.", rich_help_panel=OUTPUT)
+]
+Only = Annotated[
+    str,
+    typer.Option(
+        help="Only these scenes or demonstrations, separated by commas.",
+        metavar="NAMES",
+        autocompletion=completion.recordings,
+    ),
+]
+Jobs = Annotated[
+    int,
+    typer.Option(
+        min=1, help="Items worked on at the same time, each in a process of its own.", rich_help_panel=WORKERS
+    ),
+]
+Cluster = Annotated[
+    str,
+    typer.Option(
+        help="Dask scheduler to work on instead: tcp://host:8786.", metavar="ADDRESS", rich_help_panel=WORKERS
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Make it again even if it is up to date.")]
 ConfigFile = Annotated[
     Path | None,
@@ -28,6 +49,7 @@ ConfigFile = Annotated[
         "--config",
         help="YAML: a section per stage, or `stage@name` for one item. [default: ROOT/params.yaml]",
         metavar="FILE",
+        rich_help_panel=ELSEWHERE,
     ),
 ]
 Preset = Annotated[
@@ -36,11 +58,18 @@ Preset = Annotated[
         "--preset",
         help="How networks are trained: tabletop is the default, bask the paper's way, bask-code that of its code, "
         "florence that of the Dense Object Nets before. Goes over the file.",
+        rich_help_panel=ELSEWHERE,
     ),
 ]
 Set = Annotated[
     list[str],
-    typer.Option("--set", help="One parameter: stage.field=value. May be repeated.", metavar="STAGE.FIELD=VALUE"),
+    typer.Option(
+        "--set",
+        help="One parameter: stage.field=value. May be repeated.",
+        metavar="STAGE.FIELD=VALUE",
+        autocompletion=completion.assignments,
+        rich_help_panel=ELSEWHERE,
+    ),
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be made, and why, and make nothing.")]
 
@@ -52,7 +81,14 @@ def parameter(
     return inspect.Parameter(name, kind, annotation=annotation, default=default)
 
 
-def option_of(name: str, field: Any) -> inspect.Parameter:
+def options_of(command: str, model: type[Params], without: tuple[str, ...] = ()) -> list[inspect.Parameter]:
+    """The fields of a model as options, under the headings of the command and in their order."""
+    fields = {name: field for name, field in model.model_fields.items() if name not in without}
+    panels = panels_of(command, list(fields))
+    return [_option(name, fields[name], panel) for name, panel in panels.items() if name in fields]
+
+
+def _option(name: str, field: Any, panel: str) -> inspect.Parameter:
     """One field of a model as an option. Unset stays None, so that the configuration below it is seen."""
     flag = "--" + name.replace("_", "-")
     annotation = _plain_type(field.annotation)
@@ -60,8 +96,15 @@ def option_of(name: str, field: Any) -> inspect.Parameter:
     shown = "" if default is None or default == "" or default is ... else _as_text(default)
     flags = [f"{flag}/--no-{flag[2:]}"] if annotation is bool else [flag]
     text = (field.description or "") + (f" [default: {shown}]" if shown else "")
-    option = typer.Option(*flags, help=text, show_default=False)
+    option = typer.Option(*flags, help=text, show_default=False, rich_help_panel=panel, metavar=_metavar(field))
     return parameter(name, Annotated[annotation | None, option], None)
+
+
+def _metavar(field: Any) -> str | None:
+    """What stands for a value that is several, or a file; None leaves it to the type."""
+    if isinstance(field.json_schema_extra, dict) and field.json_schema_extra.get("file"):
+        return "FILE"
+    return "A,B,..." if _is_sequence(field.annotation) else None
 
 
 def _plain_type(annotation: Any) -> Any:
@@ -77,6 +120,8 @@ def _plain_type(annotation: Any) -> Any:
 def _as_text(value: Any) -> str:
     if isinstance(value, tuple | list):
         return ",".join(map(str, value))
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     return str(value)
 
 
@@ -84,9 +129,8 @@ def given_options(model: type[Params], options: dict[str, Any]) -> dict[str, Any
     """The options that were set, lists split at commas."""
     given = {name: value for name, value in options.items() if name in model.model_fields and value is not None}
     for name, value in given.items():
-        annotation = model.model_fields[name].annotation
-        if isinstance(value, str) and _is_sequence(annotation):
-            given[name] = [part.strip() for part in value.split(",") if part.strip()]
+        if isinstance(value, str) and _is_sequence(model.model_fields[name].annotation):
+            given[name] = names_of(value)
     return given
 
 
@@ -97,20 +141,20 @@ def _is_sequence(annotation: Any) -> bool:
 
 
 def add_command(
-    target: typer.Typer,
-    name: str,
-    help: str,
-    parameters: list[inspect.Parameter],
-    body: Callable[..., None],
+    target: CommandList, name: str, parameters: list[inspect.Parameter], body: Callable[..., None], **texts: Any
 ) -> None:
-    """Add a command whose signature is made here: Typer reads options off signatures only."""
+    """Add a command whose signature is made here: Typer reads options off signatures only.
+
+    Args:
+        texts: its `help`, and `epilog` with examples.
+    """
 
     def command(**arguments: Any) -> None:
-        reporting(body)(**arguments)
+        body(**arguments)
 
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    target.command(name, help=help)(command)
+    target.command(name, **texts)(command)
 
 
 def checked_options(model: type[Params], options: dict[str, Any], where: str) -> Params:

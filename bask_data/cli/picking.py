@@ -3,22 +3,37 @@
 from __future__ import annotations
 
 import inspect
-from typing import Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from bask_data.cli.console import say, show_outcome, shown_progress
 from bask_data.cli.options import parameter
-from bask_data.dataset import Dataset
 from bask_data.engine import Outcome
 from bask_data.errors import UsageError
+
+if TYPE_CHECKING:
+    from bask_data.cli.calls import StageCall
+
+PANEL = "Picking in a browser"
 
 
 def pick_options() -> list[inspect.Parameter]:
     """Of `reference` alone: where its picks may come from besides the parameters."""
-    flag = typer.Option("--pick", help="Choose them on a page in a browser, which shows where each would be found.")
-    port = typer.Option(min=0, max=65535, help="With --pick: of the page. [default: any that is free]")
-    browser = typer.Option("--browser/--no-browser", help="With --pick: open the page, where there is a display.")
+    flag = typer.Option(
+        "--pick",
+        help="Choose them on a page in a browser, which shows where each would be found.",
+        rich_help_panel=PANEL,
+    )
+    port = typer.Option(
+        min=0, max=65535, help="With --pick: of the page. [default: any that is free]", rich_help_panel=PANEL
+    )
+    browser = typer.Option(
+        "--browser/--no-browser",
+        help="With --pick: open the page, where there is a display.",
+        rich_help_panel=PANEL,
+    )
     return [
         parameter("pick", Annotated[bool, flag], False),
         parameter("port", Annotated[int | None, port], None),
@@ -32,8 +47,12 @@ def refuse_without_pick(options: dict[str, Any]) -> None:
         raise UsageError("reference", "--port", expected="to come with --pick", got="it alone", fix="--pick --port N")
 
 
-def pick(dataset: Dataset, *, dry_run: bool, options: dict[str, Any], **picking: Any) -> list[Outcome]:
-    """What was saved on the page, when it is closed."""
+def pick(call: StageCall, *, parameters: Path, dry_run: bool, options: dict[str, Any]) -> list[Outcome]:
+    """What was saved on the page, when it is closed; empty if nothing was.
+
+    Args:
+        parameters: file that keeps the picks.
+    """
     from bask_data.picker import Picking, pick_keypoints
 
     if dry_run:
@@ -45,9 +64,15 @@ def pick(dataset: Dataset, *, dry_run: bool, options: dict[str, Any], **picking:
             _open_in_browser(url)
 
     with shown_progress():
-        found = Picking(dataset, **picking)
+        picking = Picking(
+            call.dataset,
+            planned=lambda more: call.tasks(more)[0],
+            parameters=parameters,
+            following=call.following,
+            inputs=call.inputs,
+        )
         try:
-            outcomes = pick_keypoints(found, say=say, opened=opened, port=options["port"] or 0)
+            outcomes = pick_keypoints(picking, say=say, opened=opened, port=options["port"] or 0)
         except KeyboardInterrupt:
             say("interrupted: nothing was saved; what was picked is kept, and the same command goes on with it.")
             raise typer.Exit(130) from None

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import typer
-
-from bask_data.cli.console import say, show_outcome, shown_progress
-from bask_data.cli.failures import reporting
+from bask_data.cli.commands import CommandList
+from bask_data.cli.console import print_result, say, show_outcome, shown_progress
 from bask_data.cli.options import Cluster, ConfigFile, DryRun, Force, Jobs, Json, Only, Preset, Root, Set
 from bask_data.cli.working import (
     AFTER_DRY_RUN,
@@ -23,21 +20,27 @@ from bask_data.dataset import Dataset
 from bask_data.engine import Outcome, State, foretold, plan, run, state_told
 from bask_data.pipeline import STAGES
 
-app = typer.Typer(rich_markup_mode=None)
+app = CommandList()
 
 
-@app.command("run")
-@reporting
+@app.command(
+    "run",
+    epilog="""
+    bask-data run data/demo --dry-run
+    bask-data run data/demo --only table --jobs 4
+    bask-data run data/demo --set train.steps=500 --set reconstruct@table.voxel_size=0.003
+    """,
+)
 def run_all(
     root: Root,
     only: Only = "",
-    jobs: Jobs = 1,
-    cluster: Cluster = "",
     force: Force = False,
+    dry_run: DryRun = False,
     config: ConfigFile = None,
     preset: Preset = None,
     set_: Set = [],  # noqa: B006  # Typer copies it.
-    dry_run: DryRun = False,
+    jobs: Jobs = 1,
+    cluster: Cluster = "",
     json_: Json = False,
 ) -> None:
     """Make everything that is missing or stale, in order."""
@@ -65,8 +68,12 @@ def run_all(
     finish("run", outcomes, json_, AFTER_DRY_RUN if dry_run else f"bask-data report {quoted(root)}")
 
 
-@app.command()
-@reporting
+@app.command(
+    epilog="""
+    bask-data status data/demo
+    bask-data status data/demo --json
+    """
+)
 def status(
     root: Root,
     config: ConfigFile = None,
@@ -74,7 +81,7 @@ def status(
     set_: Set = [],  # noqa: B006
     json_: Json = False,
 ) -> None:
-    """Say of every artifact whether it is up to date, and if not, why."""
+    """Say what is up to date, and of what is not, why."""
     dataset = Dataset(root)
     parameters = parameters_of(root, config, set_, preset)
     rows: list[tuple[str, str, State]] = []
@@ -82,12 +89,8 @@ def status(
         for variant in dataset.variants(stage.makes):
             for task in plan(dataset, stage, config=parameters, variant=variant):
                 rows.append((stage.name, task.label, state_told(task)))
-    for _, label, state in rows:
-        say(f"  {state.status:<10}  {label}{f'  ({state.why})' if state.why else ''}")
+    lines = [f"  {state.status:<10}  {label}{f'  ({state.why})' if state.why else ''}" for _, label, state in rows]
+    found = [{"stage": stage, "label": label, "status": state.status, "why": state.why} for stage, label, state in rows]
+    print_result("status", lines, {"artifacts": found}, json_)
     n_todo = sum(state.status != "up to date" for _, _, state in rows)
-    if json_:
-        found = [
-            {"stage": stage, "label": label, "status": state.status, "why": state.why} for stage, label, state in rows
-        ]
-        print(json.dumps({"command": "status", "artifacts": found}, indent=2))
     say(f"next: bask-data run {quoted(root)}" if n_todo else "everything is up to date.")

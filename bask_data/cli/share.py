@@ -1,18 +1,21 @@
-"""`export`: files that other programs learn policies from."""
+"""Commands that hand a dataset on: `export` and `dvc`."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from bask_data.cli.console import say, shown_progress
-from bask_data.cli.failures import reporting
-from bask_data.cli.options import Json, Root, names_of
+from bask_data.cli import completion
+from bask_data.cli.commands import CommandList
+from bask_data.cli.console import print_result, say, shown_progress
+from bask_data.cli.options import ConfigFile, Json, Preset, Root, names_of
+from bask_data.cli.working import parameters_of, quoted
 from bask_data.dataset import Dataset
+from bask_data.errors import UsageError
 from bask_data.export import FORMATS
+from bask_data.pipeline import STAGES
 
 if TYPE_CHECKING:
     FormatName = str
@@ -24,43 +27,110 @@ OUT_HELP = "".join(
     ["Folder to write", *(f"; {one.name}: file, ending in {one.suffixes[0]}" for one in FORMATS if one.is_file), "."]
 )
 
-app = typer.Typer(rich_markup_mode=None)
+NAMES = "Which demonstrations"
+KEYPOINTS = "Keypoints"
 
 
-@app.command("export")
-@reporting
-def export_(
-    format: Annotated[FormatName, typer.Argument(help=FORMATS_HELP)],
+def _demonstrations(help: str) -> Any:
+    """An option that takes names of demonstrations."""
+    return typer.Option(help=help, metavar="NAMES", rich_help_panel=NAMES, autocompletion=completion.demonstrations)
+
+
+TrackVariant = Annotated[
+    str,
+    typer.Option(
+        help="Of the keypoints.",
+        metavar="NAME",
+        rich_help_panel=KEYPOINTS,
+        autocompletion=completion.variants_of("keypoints"),
+    ),
+]
+Noise = Annotated[
+    float,
+    typer.Option(
+        help="Standard deviation of noise added to keypoints, metres; the paper's policies: 0.02.",
+        rich_help_panel=KEYPOINTS,
+    ),
+]
+
+app = CommandList()
+
+
+@app.command(
+    epilog="""
+    bask-data export parquet data/demo tables
+    bask-data export lerobot data/demo lerobot --videos --test demo3
+    """
+)
+def export(
+    format: Annotated[FormatName, typer.Argument(help=FORMATS_HELP, metavar="FORMAT")],
     root: Root,
     out: Annotated[Path, typer.Argument(help=OUT_HELP, metavar="OUT")],
-    variant: Annotated[str, typer.Option(help="Of the keypoints.", metavar="NAME")] = "main",
-    noise: Annotated[
-        float, typer.Option(help="Standard deviation of noise added to keypoints, metres; the paper's policies: 0.02.")
-    ] = 0.0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the noise.")] = 0,
     videos: Annotated[bool, typer.Option("--videos", help="Take the cameras' images along.")] = False,
-    only: Annotated[str, typer.Option(help="Only these demonstrations, separated by commas.", metavar="NAMES")] = "",
-    validation: Annotated[str, typer.Option(help="Demonstrations to validate on.", metavar="NAMES")] = "",
-    test: Annotated[str, typer.Option(help="Demonstrations kept for the test.", metavar="NAMES")] = "",
     task: Annotated[
         str, typer.Option(help="What is done, in words. [default: as the source says, or else the dataset's name]")
     ] = "",
     force: Annotated[bool, typer.Option("--force", help="Replace an export.")] = False,
+    only: Annotated[str, _demonstrations("Only these demonstrations, separated by commas.")] = "",
+    validation: Annotated[str, _demonstrations("Demonstrations to validate on.")] = "",
+    test: Annotated[str, _demonstrations("Demonstrations kept for the test.")] = "",
+    variant: TrackVariant = "main",
+    noise: Noise = 0.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the noise.", rich_help_panel=KEYPOINTS)] = 0,
     json_: Json = False,
 ) -> None:
-    """Write demonstrations with their keypoints as the files that policies are learned from."""
-    from bask_data.export import ExportSettings, export
+    """Write demonstrations with their keypoints as the files that policies learn from."""
+    from bask_data.export import ExportSettings
+    from bask_data.export import export as write_export
 
-    dataset = Dataset(root)
     settings = ExportSettings(
         variant, names_of(only), names_of(validation), names_of(test), noise=noise, seed=seed, videos=videos, task=task
     )
     with shown_progress():
-        done = export(dataset, out, format, settings, force=force)
+        done = write_export(Dataset(root), out, format, settings, force=force)
     for note in done.notes:
         say(f"  note: {note}")
+    print_result("export", [], vars(done), json_)
     counts = ", ".join(f"{len(names)} for {split}" for split, names in done.splits.items() if names)
     say(f"made {out}  ({counts}; {done.n_frames} frames; {done.n_bytes / 1e6:.1f} MB)")
-    if json_:
-        print(json.dumps({"command": "export", **vars(done)}, indent=2))
     say(f"next: {done.opened_with}")
+
+
+@app.command(
+    epilog="""
+    bask-data dvc data/demo
+    bask-data dvc data/demo --check
+    """
+)
+def dvc(
+    root: Root,
+    check: Annotated[
+        bool, typer.Option("--check", help="Only say whether the files are what would be written.")
+    ] = False,
+    config: ConfigFile = None,
+    preset: Preset = None,
+    json_: Json = False,
+) -> None:
+    """Write dvc.yaml and params.yaml, so that `dvc repro` runs and records the pipeline."""
+    from bask_data.dvc import render
+
+    dataset = Dataset(root)
+    rendered = render(dataset, STAGES, parameters_of(root, config, [], preset))
+    changed = [name for name, text in rendered.items() if not _holds(root / name, text)]
+    print_result("dvc", changed if check else [], {"files": sorted(rendered), "changed": changed}, json_)
+    if check:
+        if changed:
+            fix = f"bask-data dvc {root}"
+            raise UsageError(root, ", ".join(changed), expected="what the code renders", got="something else", fix=fix)
+        return
+    for name in changed:
+        (root / name).write_text(rendered[name])
+        say(f"made {root / name}")
+    for stage in STAGES:
+        for variant in dataset.variants(stage.makes):
+            dataset.prepare(stage.makes, variant)
+    say(f"next: dvc repro {quoted(root / 'dvc.yaml')}")
+
+
+def _holds(file: Path, text: str) -> bool:
+    return file.exists() and file.read_text() == text

@@ -2,25 +2,80 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bask_data.cli.console import say, shown_progress
-from bask_data.cli.failures import reporting
+from bask_data.cli import completion
+from bask_data.cli.commands import CommandList
+from bask_data.cli.console import print_result, say, shown_progress
 from bask_data.cli.options import Json, Only, Root
+from bask_data.cli.panels import OUTPUT
 from bask_data.cli.working import chosen_recordings, quoted
 from bask_data.dataset import Dataset
 from bask_data.errors import UsageError
 
-app = typer.Typer(rich_markup_mode=None)
+if TYPE_CHECKING:
+    from bask_data.view.choice import Choice
+
+SHOWN = "What is shown"
+WHERE = "Where it is shown"
+
+Save = Annotated[
+    Path | None,
+    typer.Option(help="Write the recording to this file, ending in .rrd.", metavar="FILE", rich_help_panel=WHERE),
+]
+Web = Annotated[bool, typer.Option("--web", help="Show it in a browser; needs no display here.", rich_help_panel=WHERE)]
+Port = Annotated[
+    int | None,
+    typer.Option(
+        help="With --web: of the viewer; the next one is taken too. [default: 9090]",
+        min=1,
+        max=65534,
+        rich_help_panel=WHERE,
+    ),
+]
+Video = Annotated[
+    Path | None,
+    typer.Option(
+        help="Instead: keypoints over frames, an mp4 of each demonstration in this folder.",
+        metavar="DIR",
+        rich_help_panel=WHERE,
+    ),
+]
+Every = Annotated[int, typer.Option(min=1, help="Show each so many-th frame.", rich_help_panel=SHOWN)]
+Pairs = Annotated[
+    int, typer.Option(min=0, help="Most pairs of views whose matches are shown, a scene.", rich_help_panel=SHOWN)
+]
+ShownVariant = Annotated[
+    str,
+    typer.Option(
+        help="Of network, heat maps and keypoints.",
+        metavar="NAME",
+        rich_help_panel=SHOWN,
+        autocompletion=completion.variants_of("descriptor", "reference", "keypoints"),
+    ),
+]
+Beliefs = Annotated[
+    bool,
+    typer.Option(
+        "--beliefs", help="Track again, to show the filter's particles or maps in each frame.", rich_help_panel=SHOWN
+    ),
+]
+Replace = Annotated[bool, typer.Option("--force", help="Replace files.", rich_help_panel=OUTPUT)]
+
+app = CommandList()
 
 
-@app.command()
-@reporting
+@app.command(
+    epilog="""
+    bask-data report data/demo
+    bask-data report data/demo --out demo.html
+    """
+)
 def report(
     root: Root,
     out: Annotated[Path | None, typer.Option(help="File to write. [default: ROOT/report.html]", metavar="FILE")] = None,
@@ -33,96 +88,105 @@ def report(
     with shown_progress():
         measured = measure(dataset)
         file = write_report(dataset, out or root / "report.html", measured)
-        if json_:
-            print(json.dumps({"command": "report", "file": str(file), **summarise(dataset, measured)}, indent=2))
+        document = {"file": str(file), **summarise(dataset, measured)} if json_ else {}
+    print_result("report", [], document, json_)
     say(f"made {file}  (open it in a browser)")
 
 
-@app.command()
-@reporting
+@app.command(
+    epilog="""
+    bask-data view data/demo --only table
+    bask-data view data/demo --web
+    bask-data view data/demo --save demo.rrd --every 5
+    bask-data view data/demo --video videos
+    """
+)
 def view(
     root: Root,
     only: Only = "",
-    save: Annotated[
-        Path | None, typer.Option(help="Write the recording to this file, ending in .rrd.", metavar="FILE")
-    ] = None,
-    web: Annotated[bool, typer.Option("--web", help="Show it in a browser; needs no display here.")] = False,
-    port: Annotated[
-        int | None,
-        typer.Option(help="With --web: of the viewer; the next one is taken too. [default: 9090]", min=1, max=65534),
-    ] = None,
-    every: Annotated[int, typer.Option(min=1, help="Show each so many-th frame.")] = 1,
-    pairs: Annotated[int, typer.Option(min=0, help="Most pairs of views whose matches are shown, a scene.")] = 40,
-    variant: Annotated[str, typer.Option(help="Of network, heat maps and keypoints.", metavar="NAME")] = "main",
-    beliefs: Annotated[
-        bool, typer.Option("--beliefs", help="Track again, to show the filter's particles or maps in each frame.")
-    ] = False,
-    video: Annotated[
-        Path | None,
-        typer.Option(
-            help="Instead: keypoints over frames, an mp4 of each demonstration in this folder.", metavar="DIR"
-        ),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace files.")] = False,
+    variant: ShownVariant = "main",
+    every: Every = 1,
+    pairs: Pairs = 40,
+    beliefs: Beliefs = False,
+    save: Save = None,
+    web: Web = False,
+    port: Port = None,
+    video: Video = None,
+    force: Replace = False,
     json_: Json = False,
 ) -> None:
-    """Walk through scenes and demonstrations in the Rerun viewer, or save what it shows."""
-    from tempfile import TemporaryDirectory
+    """Walk through scenes and demonstrations in the Rerun viewer, or save what it shows.
 
-    from bask_data.kinds import DescriptorNet, KeypointTrack, ReferenceKeypoints
+    Without --save, --web or --video it opens a window.
+    """
     from bask_data.view.choice import Choice
-    from bask_data.view.saving import save_recording
-    from bask_data.view.windows import has_display, serve, show
 
     dataset = Dataset(root)
-    items = chosen_recordings(dataset, only)
+    choice = Choice(chosen_recordings(dataset, only), every, pairs, variant, beliefs)
+    _refuse_unknown_variant(dataset, variant)
+    if video is not None:
+        _write_videos(dataset, video, choice, force, json_)
+    else:
+        _refuse_without_window(save, web, port)
+        _open_viewer(dataset, choice, save, force, json_, (port or 9090) if web else None)
+
+
+def _refuse_unknown_variant(dataset: Dataset, variant: str) -> None:
+    from bask_data.kinds import DescriptorNet, KeypointTrack, ReferenceKeypoints
+
     kinds = DescriptorNet, ReferenceKeypoints, KeypointTrack
     variants = dict.fromkeys(name for kind in kinds for name in dataset.variants(kind))
     if variant not in variants:
-        raise UsageError(root, "--variant", expected=f"one of {', '.join(variants)}", got=variant)
-    if video is not None:
-        _write_videos(dataset, video, items, variant, every, force, json_)
-        return
+        raise UsageError(dataset.root, "--variant", expected=f"one of {', '.join(variants)}", got=variant)
+
+
+def _refuse_without_window(save: Path | None, web: bool, port: int | None) -> None:
+    from bask_data.view.windows import has_display
+
     if port is not None and not web:
         raise UsageError("view", "--port", expected="to come with --web", got="it alone", fix="--web --port N")
     if not (save or web or has_display()):
-        raise UsageError(
-            "view", "", expected="a display to open a window on", got="none", fix="use --web, or --save FILE.rrd."
-        )
+        fix = "use --web, or --save FILE.rrd."
+        raise UsageError("view", "", expected="a display to open a window on", got="none", fix=fix)
+
+
+def _open_viewer(
+    dataset: Dataset, choice: Choice, save: Path | None, force: bool, as_json: bool, port: int | None
+) -> None:
+    """Write the recording, to keep or for a while, and show it in a browser, in a window, or not at all."""
+    from bask_data.view.saving import save_recording
+    from bask_data.view.windows import serve, show
+
     with TemporaryDirectory(prefix="bask-data-") as folder:
-        file = save or Path(folder) / f"{root.resolve().name}.rrd"
+        file = save or Path(folder) / f"{dataset.root.resolve().name}.rrd"
         with shown_progress():
-            shown = save_recording(dataset, file, Choice(items, every, pairs, variant, beliefs), force=force)
-        for name, one in shown.items():
-            _show_shown(name, one)
-        if json_:
-            found = {name: vars(one) for name, one in shown.items()}
-            saved = {"file": str(save) if save else None, "bytes": file.stat().st_size}
-            print(json.dumps({"command": "view", **saved, "items": found}, indent=2), flush=True)
+            shown = save_recording(dataset, file, choice, force=force)
+        for name, each in shown.items():
+            for line in _shown_lines(name, each):
+                say(line)
+        saved = {"file": str(save) if save else None, "bytes": file.stat().st_size}
+        print_result("view", [], {**saved, "items": {name: vars(each) for name, each in shown.items()}}, as_json)
         if save:
             say(f"made {file}  ({file.stat().st_size / 1e6:.1f} MB; open it with: rerun {quoted(file)})")
-        if web:
-            serve(file, port or 9090, say=lambda url: say(f"open {url}  (Ctrl-C ends it)"))
+        if port is not None:
+            serve(file, port, say=lambda url: say(f"open {url}  (Ctrl-C ends it)"))
         elif not save:
             show(file)
 
 
-def _write_videos(
-    dataset: Dataset, folder: Path, items: Sequence[str], variant: str, every: int, force: bool, json_: bool
-) -> None:
+def _write_videos(dataset: Dataset, folder: Path, choice: Choice, force: bool, as_json: bool) -> None:
     from bask_data.view.video import write_videos
 
     with shown_progress():
-        files = write_videos(dataset, folder, items, variant=variant, every=every, force=force)
+        files = write_videos(dataset, folder, choice.items, variant=choice.variant, every=choice.every, force=force)
     for file in files.values():
         say(f"made {file}")
-    if json_:
-        print(json.dumps({"command": "view", "videos": {name: str(file) for name, file in files.items()}}, indent=2))
+    print_result("view", [], {"videos": {name: str(file) for name, file in files.items()}}, as_json)
 
 
-def _show_shown(name: str, one: Any) -> None:
-    frames = ", ".join(f"{n} frames of {camera}" for camera, n in one.frames.items())
-    layers = ", ".join(layer for layer in one.layers if layer != "frames")
-    say(f"  shown       {name}: {'; '.join(part for part in (frames, layers) if part) or 'nothing'}")
-    if one.missing:
-        say(f"  not there   {name}: {', '.join(one.missing)}")
+def _shown_lines(name: str, shown: Any) -> Iterator[str]:
+    frames = ", ".join(f"{n} frames of {camera}" for camera, n in shown.frames.items())
+    layers = ", ".join(layer for layer in shown.layers if layer != "frames")
+    yield f"  shown       {name}: {'; '.join(part for part in (frames, layers) if part) or 'nothing'}"
+    if shown.missing:
+        yield f"  not there   {name}: {', '.join(shown.missing)}"

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import inspect
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from bask_data.cli import completion
+from bask_data.cli.calls import call_of
+from bask_data.cli.commands import CommandList
 from bask_data.cli.console import show_outcome, shown_progress
 from bask_data.cli.options import (
     Cluster,
@@ -22,130 +24,131 @@ from bask_data.cli.options import (
     Root,
     Set,
     add_command,
-    given_options,
-    names_of,
-    option_of,
+    options_of,
     parameter,
 )
 from bask_data.cli.picking import pick, pick_options, refuse_without_pick
-from bask_data.cli.working import AFTER_DRY_RUN, executor_of, finish, parameters_of, quoted, show_findings
-from bask_data.dataset import Dataset, Variant
-from bask_data.engine import Stage, follow, foretold, is_follower, plan, run
+from bask_data.cli.working import AFTER_DRY_RUN, executor_of, finish, show_findings
+from bask_data.dataset import Variant
+from bask_data.engine import Outcome, Stage, Task, follow, foretold, is_follower, run
 from bask_data.errors import UsageError
 from bask_data.pipeline import STAGES
 from bask_data.presets import PRESETS
 
-app = typer.Typer(rich_markup_mode=None)
+EXAMPLES = {
+    "reconstruct": """
+    bask-data reconstruct data/demo
+    bask-data reconstruct data/demo --only table --voxel-size 0.003
+    """,
+    "objects": """
+    bask-data objects data/demo
+    bask-data objects data/demo --only table --names mug,box --min-area 0.005
+    """,
+    "masks": """
+    bask-data masks data/demo --jobs 4
+    bask-data masks data/demo --tolerance 0.01
+    """,
+    "correspondences": """
+    bask-data correspondences data/demo
+    bask-data correspondences data/demo --n-pairs 400 --min-angle-deg 30
+    """,
+    "train": """
+    bask-data train data/demo
+    bask-data train data/demo --steps 500 --variant quick
+    bask-data train data/demo --preset bask --variant paper
+    torchrun --nproc-per-node 4 -m bask_data.cli train data/demo
+    """,
+    "reference": """
+    bask-data reference data/demo --pick
+    bask-data reference data/demo --auto --n 8
+    """,
+    "encode": """
+    bask-data encode data/demo
+    bask-data encode data/demo --only demo1 --filter discrete --variant discrete
+    """,
+}
+
+app = CommandList()
 
 
-def _add_stage(stage: Stage) -> None:
-    # Positional parameters first, as a signature wants them.
+def _signature(stage: Stage) -> list[inspect.Parameter]:
+    """Positional parameters first, as a signature wants them; everyday options before the others."""
     parameters = [parameter("root", Root, inspect.Parameter.empty)]
     if stage.makes.scope != "dataset":
         parameters.append(parameter("only", Only, ""))
     if stage.makes.has_variants:
-        option = typer.Option(
-            "--variant", help="Name of this result, to keep several beside each other.", metavar="NAME"
-        )
-        parameters.append(parameter("variant", Annotated[str, option], "main"))
-        for given in stage.inputs:
-            if given.artifact.has_variants:
-                kind = given.artifact.kind
-                option = typer.Option(
-                    f"--{kind}", help=f"Variant of the {kind} to use. [default: that of --variant]", metavar="NAME"
-                )
-                parameters.append(parameter(f"variant_of_{kind}", Annotated[str, option], ""))
-    parameters += [option_of(name, field) for name, field in stage.params.model_fields.items()]
-    parameters += pick_options() if stage.makes.kind == "reference" else []
+        parameters += _variant_options(stage)
     parameters += [
-        parameter("jobs", Jobs, 1),
-        parameter("cluster", Cluster, ""),
+        *options_of(stage.name, stage.params),
         parameter("force", Force, False),
+        parameter("dry_run", DryRun, False),
+        *(pick_options() if stage.makes.kind == "reference" else []),
         parameter("config", ConfigFile, None),
         *([parameter("preset", Preset, None)] if stage.name in PRESETS["bask"] else []),
         parameter("set_", Set, []),
-        parameter("dry_run", DryRun, False),
+        parameter("jobs", Jobs, 1),
+        parameter("cluster", Cluster, ""),
         parameter("json_", Json, False),
         parameter("stage_version", Annotated[int, typer.Option(hidden=True)], 0),
     ]
-
-    def body(
-        root: Path, config: Path | None, set_: list[str], dry_run: bool, json_: bool, force: bool, **options: Any
-    ) -> None:
-        if options["stage_version"] not in (0, stage.version):
-            raise UsageError(
-                stage.name,
-                "--stage-version",
-                expected=str(stage.version),
-                got=options["stage_version"],
-                fix=f"bask-data dvc {root}",
-            )
-        dataset = Dataset(root)
-        if not is_follower():
-            dataset.recover()
-        variant = options.get("variant", "main")
-        chosen = {
-            name.removeprefix("variant_of_"): value
-            for name, value in options.items()
-            if name.startswith("variant_of_") and value
-        }
-        planned = functools.partial(
-            plan,
-            dataset,
-            stage,
-            config=parameters_of(root, config, set_, options.get("preset")),
-            only=names_of(options.get("only", "")),
-            variant=variant,
-            variant_inputs=chosen,
-        )
-        given = given_options(stage.params, options)
-        tasks = planned(options=given)
-        if not tasks:
-            raise UsageError(
-                root, "", expected=f"a {stage.makes.scope}", got="none in the dataset", fix="bask-data ingest --help"
-            )
-        if is_follower():
-            for task in tasks if not dry_run else []:
-                follow(task, force)
-            return
-        outcomes = []
-        following = AFTER_DRY_RUN if dry_run else _following(stage, root, variant, chosen)
-        if options.get("pick"):
-            outcomes = pick(
-                dataset,
-                planned=lambda new: planned(options={**given, **new})[0],
-                parameters=config or root / "params.yaml",
-                following=following,
-                inputs=chosen,
-                dry_run=dry_run,
-                options=options,
-            )
-        else:
-            refuse_without_pick(options)
-            with shown_progress(), executor_of(options["jobs"], options["cluster"]) as executor:
-                for outcome in foretold(tasks, set(), force) if dry_run else run(tasks, executor=executor, force=force):
-                    show_outcome(outcome)
-                    show_findings(outcome)
-                    outcomes.append(outcome)
-        if variant != "main" and not dry_run and any(outcome.status == "made" for outcome in outcomes):
-            dataset.add_variant(stage.makes, variant, Variant(inputs=chosen))
-        saved_nothing = bool(options.get("pick")) and not outcomes
-        finish(stage.name, outcomes, json_, "" if saved_nothing else following)
-
-    add_command(app, stage.name, stage.help, parameters, body)
+    return parameters
 
 
-def _following(stage: Stage, root: Path, variant: str, chosen: dict[str, str]) -> str:
-    """The command that goes on with what a stage has made, in the same variants."""
-    later = [other for other in STAGES if stage.makes in [given.artifact for given in other.inputs]]
-    if not later:
-        return f"bask-data report {quoted(root)}"
-    own = {given.artifact.kind for given in stage.inputs if given.artifact.has_variants}
-    shared = [given.artifact.kind for given in later[0].inputs if given.artifact.kind in own]
-    variants = {stage.makes.kind: variant, **{kind: chosen.get(kind, variant) for kind in shared}}
-    words = [f"--{kind} {name}" for kind, name in variants.items() if name != "main"]
-    return " ".join([f"bask-data {later[0].name} {quoted(root)}", *words])
+def _variant_options(stage: Stage) -> list[inspect.Parameter]:
+    """The name of the result, and of each input that has several."""
+
+    def option(flag: str, kind: str, help: str) -> Any:
+        completed = completion.variants_of(kind)
+        return Annotated[str, typer.Option(flag, help=help, metavar="NAME", autocompletion=completed)]
+
+    help = "Name of this result, to keep several beside each other."
+    found = [parameter("variant", option("--variant", stage.makes.kind, help), "main")]
+    for given in stage.inputs:
+        if given.artifact.has_variants:
+            kind = given.artifact.kind
+            help = f"Variant of the {kind} to use. [default: that of --variant]"
+            found.append(parameter(f"variant_of_{kind}", option(f"--{kind}", kind, help), ""))
+    return found
+
+
+def _run(stage: Stage, root: Path, dry_run: bool, force: bool, options: dict[str, Any]) -> None:
+    call = call_of(stage, root, options)
+    tasks = call.tasks()
+    if not tasks:
+        fix = "bask-data ingest --help"
+        raise UsageError(root, "", expected=f"a {stage.makes.scope}", got="none in the dataset", fix=fix)
+    if is_follower():
+        for task in tasks if not dry_run else []:
+            follow(task, force)
+        return
+    following = AFTER_DRY_RUN if dry_run else call.following
+    if options.get("pick"):
+        outcomes = pick(call, parameters=options["config"] or root / "params.yaml", dry_run=dry_run, options=options)
+        following = following if outcomes else ""
+    else:
+        refuse_without_pick(options)
+        outcomes = _outcomes(tasks, dry_run, force, options)
+    if call.variant != "main" and not dry_run and any(outcome.status == "made" for outcome in outcomes):
+        call.dataset.add_variant(stage.makes, call.variant, Variant(inputs=call.inputs))
+    finish(stage.name, outcomes, options["json_"], following)
+
+
+def _outcomes(tasks: list[Task], dry_run: bool, force: bool, options: dict[str, Any]) -> list[Outcome]:
+    found = []
+    with shown_progress(), executor_of(options["jobs"], options["cluster"]) as executor:
+        for outcome in foretold(tasks, set(), force) if dry_run else run(tasks, executor=executor, force=force):
+            show_outcome(outcome)
+            show_findings(outcome)
+            found.append(outcome)
+    return found
+
+
+def _add(stage: Stage) -> None:
+    def body(root: Path, dry_run: bool, force: bool, **options: Any) -> None:
+        _run(stage, root, dry_run, force, options)
+
+    add_command(app, stage.name, _signature(stage), body, help=stage.help, epilog=EXAMPLES.get(stage.name))
 
 
 for _stage in STAGES:
-    _add_stage(_stage)
+    _add(_stage)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
@@ -12,7 +11,7 @@ from typing import Any
 
 import typer
 
-from bask_data.cli.console import say
+from bask_data.cli.console import print_result, say
 from bask_data.cli.options import names_of
 from bask_data.config import load_config
 from bask_data.dataset import Dataset
@@ -59,7 +58,7 @@ def parameters_of(
 
 
 def finish(command: str, outcomes: Sequence[Outcome], as_json: bool, next_command: str = "", **more: Any) -> None:
-    """Print the sum and leave with the exit code of the first failure."""
+    """Print the outcomes as JSON, if wanted, then the sum, and leave with the exit code of the first failure."""
     if as_json:
         rows = [
             {
@@ -69,7 +68,7 @@ def finish(command: str, outcomes: Sequence[Outcome], as_json: bool, next_comman
             | {"metadata": attributes_of(outcome)}
             for outcome in outcomes
         ]
-        print(json.dumps({"command": command, "outcomes": rows, **more}, indent=2))
+        print_result(command, [], {"outcomes": rows, **more}, as_json)
     failed = [outcome for outcome in outcomes if outcome.status == "failed"]
     blocked = [outcome for outcome in outcomes if outcome.status == "blocked"]
     if failed:

@@ -1,4 +1,4 @@
-"""What `evaluate descriptor` and `evaluate keypoints` show a person: variants and methods side by side."""
+"""What `evaluate` shows a person: scenes, variants and methods side by side."""
 
 from __future__ import annotations
 
@@ -17,6 +17,37 @@ COLUMNS: dict[str, tuple[str, float, str]] = {
     "false_positive_px": ("false px", 1, ".1f"),
 }
 """Figures of a row: their heads, and how they are written."""
+
+
+def mask_lines(found: dict[str, Any]) -> Iterator[str]:
+    """A line an object of each scene, then the figures of all.
+
+    Args:
+        found: of `evaluated_masks`.
+    """
+    for scene, score in found["scenes"].items():
+        yield f"  {scene}: {score['n_found']} objects found, {len(score['objects'])} are there"
+        for one in score["objects"]:
+            yield f"    {'+'.join(one['names']):<32} instance {one['instance'] or 'none':<4}  IoU {one['iou']:.3f}"
+    yield from _figure_lines(found["all"])
+
+
+def match_lines(found: dict[str, Any]) -> Iterator[str]:
+    """The figures of each scene, then of all.
+
+    Args:
+        found: of `evaluated_correspondences`.
+    """
+    for scene, figures in found["scenes"].items():
+        yield f"  {scene}"
+        yield from _figure_lines(figures)
+    yield "  all scenes"
+    yield from _figure_lines(found["all"])
+
+
+def _figure_lines(figures: dict[str, float | None]) -> Iterator[str]:
+    for name, value in figures.items():
+        yield f"    {name:<14} {'unknown' if value is None else f'{value:.4g}'}"
 
 
 def descriptor_tables(found: dict[str, Any]) -> Iterator[str]:

@@ -73,8 +73,8 @@ def test_json_stands_alone_on_stdout(tmp_path: Path) -> None:
         (["reconstruct", "{root}", "--stage-version", "99"], 2, "fix: bask-data dvc"),
         (["split", "{root}", "--train", "z"], 2, "splits: expected one of a, got z"),
         (["encode", "{root}"], 2, "expected a demonstration, got none"),
-        (["no-such-command"], 2, "No such command"),
-        (["ingest", "frames", "{root}/none", "{root}", "--scene", "b"], 2, "does not exist"),
+        (["no-such-command"], 2, "expected one of its commands, got no-such-command"),
+        (["ingest", "frames", "{root}/none", "{root}", "--scene", "b"], 2, "SOURCE: expected a directory that exists"),
     ],
 )
 def test_errors_have_a_code_and_a_remedy(dataset: Dataset, arguments: list[str], code: int, message: str) -> None:
@@ -148,7 +148,7 @@ def test_info_and_validate_of_a_recording(dataset: Dataset) -> None:
     (dataset.path(Scan, "a") / "wrist" / "zarr.json").unlink()
     ended = cli("validate", dataset.root)
     assert ended.exit_code == 4
-    assert "scan/a/wrist/zarr.json: missing." in ended.stderr
+    assert "scan/a/wrist/zarr.json: missing." in ended.stdout
 
 
 def test_ingest_prints_every_assumption_and_refuses_to_overwrite(tmp_path: Path) -> None:

@@ -554,6 +554,7 @@ def test_the_command_prints_tables_for_people_and_everything_for_scripts(
         "alpha": 4.0,
         "seed": 3,
     }
+    shown = CliRunner().invoke(app, command[:-1])
     told = found["variants"]["blind"]
     words = ["measured on held-out scenes (test): c", "c: matches by exact depth and cameras", "by rotation", "by turn"]
     keypoints = told["keypoints"]["carton+tin"]["unseen view"]
@@ -565,7 +566,7 @@ def test_the_command_prints_tables_for_people_and_everything_for_scripts(
     words.append(f" % at alpha {true['truest_alpha']:g}\n")
     words.append(f"{100 * told['by_turn']['90']['pck_8']:9.1f}")
     for one in words:
-        assert one in shown.stderr
+        assert one in shown.stdout
 
 
 def test_a_dataset_to_hold_against_needs_a_name(shared: Dataset) -> None:

@@ -37,7 +37,7 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> ExtendedPackage:
 def test_a_format_that_was_added_is_listed(extended: ExtendedPackage) -> None:
     shown = extended.command("export", "--help")
     assert shown.returncode == 0, shown.stderr
-    assert "diffusion-policy|toy" in shown.stdout
+    assert "diffusion-policy, toy" in shown.stdout
     assert "toy: lengths, one a line." in " ".join(shown.stdout.split())
 
 

@@ -1,0 +1,101 @@
+"""Headings under which long commands list their options; what is named nowhere stands under `Parameters`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+EVERYDAY = "Options"
+"""The first heading: what most calls need."""
+
+OTHERS = "Parameters"
+ELSEWHERE = "Parameters from elsewhere"
+WORKERS = "Workers"
+OUTPUT = "Output"
+
+PANELS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+    "reconstruct": {
+        EVERYDAY: ("voxel_size", "workspace"),
+        "Depth": ("near", "far", "truncation", "min_views"),
+        "Frames": ("exclude", "drop_suspects", "min_distance", "min_angle_deg"),
+        WORKERS: ("max_memory",),
+    },
+    "objects": {
+        EVERYDAY: ("names", "min_area", "max_extent", "eps"),
+        "Support": ("support", "plane", "up", "inlier", "above", "margin"),
+        "Clusters": ("core_area", "seed"),
+    },
+    "correspondences": {
+        EVERYDAY: ("n_pairs", "n_matches", "seed"),
+        "Pairs of frames": ("min_distance", "min_angle_deg", "min_overlap"),
+        "Matches": ("n_attempts", "tolerance", "tolerance_per_metre", "max_cycle", "margin", "use_surface"),
+    },
+    "train": {
+        EVERYDAY: ("steps", "backbone", "descriptor_dim", "weights", "seed"),
+        "Images": ("image_height", "crop_share", "precision"),
+        "Batches": ("pairs_per_step", "accumulate", "matches", "self_pairs"),
+        "Loss": ("loss", "alpha", "match_weight"),
+        "Contrastive loss": (
+            "margin_foreground",
+            "margin_background",
+            "hinge",
+            "hard_negatives",
+            "normalised",
+            "non_matches",
+            "foreground_share",
+            "clearance",
+        ),
+        "Optimiser": (
+            "learning_rate",
+            "weight_decay",
+            "schedule",
+            "decay",
+            "decay_every",
+            "warmup",
+            "frozen_batch_norm",
+        ),
+        "Augmentation": (
+            "zoom",
+            "crop",
+            "rotation_deg",
+            "flip",
+            "background",
+            "composition",
+            "colour",
+            "hue_deg",
+            "noise",
+            "blur",
+        ),
+        "Validation": ("validations", "best_by", "patience", "held_out"),
+    },
+    "reference": {EVERYDAY: ("auto", "n", "scene", "instances", "picks", "seed")},
+    "encode": {
+        EVERYDAY: ("filter", "settings", "cameras", "seed"),
+        "Observation": ("alpha", "tau", "tau_match", "dropout", "source"),
+        "Motion": ("walk", "walk_px", "gripper_probability", "gripper_reach"),
+        "Belief": ("n_particles", "grid"),
+    },
+    "frames": {
+        EVERYDAY: ("camera", "color", "depth", "pose", "intrinsics", "fps"),
+        "Conventions of the files": (
+            "depth_scale",
+            "invalid_depth",
+            "pose_is",
+            "axes",
+            "intrinsics_size",
+            "timestamps",
+        ),
+    },
+    "sim": {
+        EVERYDAY: ("seed", "cameras", "frames", "height", "width"),
+        "Scene": ("background_seed", "clutter", "finished", "distance_spread", "gripper_in_view"),
+        "Sensor": ("depth_noise", "flying", "holes", "pose_noise", "overhead_height", "overhead_width"),
+    },
+}
+
+
+def panels_of(command: str, fields: list[str]) -> dict[str, str]:
+    """The heading of each field of a command's parameters, in the order in which they are listed."""
+    table = PANELS.get(command, {})
+    found = {field: panel for panel, members in table.items() for field in members}
+    few = EVERYDAY if not table else OTHERS
+    return {**found, **{field: few for field in fields if field not in found}}
