@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from bask_data.kinds import Demonstration, DescriptorNet, Pick, ReferenceKeypoints
+from bask_data.kinds import CameraFrames, Demonstration, DescriptorNet, Pick, ReferenceKeypoints
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings, distance_maps, maps_of_cells
 from bask_data.nn.resnet import upsampled
 from bask_data.stages.encode import EncodeParams, encode
@@ -97,11 +97,13 @@ def _demonstration(out: Path) -> np.ndarray:
         Demonstration.write_camera(
             group,
             name,
-            K=np.array([[1000.0, 0, 127.5], [0, 1000.0, 127.5], [0, 0, 1]]),
-            world_from_cameras=transforms,
-            time=np.arange(N_FRAMES) / 30,
-            depth_scale=1e-4,
-            size=(SIZE, SIZE),
-            read=lambda i, of=i_camera: (images[i, of], np.full((SIZE, SIZE), 10_000, np.uint16)),
+            CameraFrames(
+                K=np.array([[1000.0, 0, 127.5], [0, 1000.0, 127.5], [0, 0, 1]]),
+                world_from_cameras=transforms,
+                time=np.arange(N_FRAMES) / 30,
+                depth_scale=1e-4,
+                size=(SIZE, SIZE),
+                read=lambda i, of=i_camera: (images[i, of], np.full((SIZE, SIZE), 10_000, np.uint16)),
+            ),
         )
     return images

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from playwright.sync_api import Page, sync_playwright
 
-from bask_data.kinds import Demonstration
+from bask_data.kinds import CameraFrames, Demonstration
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings
 from bask_data.picker.desk import Desk
 from bask_data.picker.draft import Draft
@@ -68,12 +68,14 @@ def pages(folder: Path) -> Gallery:
     Demonstration.write_camera(
         Demonstration.start(folder / "wall", "benchmark", {}),
         "wrist",
-        K=np.array([[1000.0, 0, 127.5], [0, 1000.0, 127.5], [0, 0, 1]]),
-        world_from_cameras=world_from_cameras,
-        time=np.arange(N_FRAMES) / 30,
-        depth_scale=1e-4,
-        size=(HEIGHT, WIDTH),
-        read=lambda i: (wall[:, 20 * i : 20 * i + WIDTH], np.full((HEIGHT, WIDTH), 10_000, np.uint16)),
+        CameraFrames(
+            K=np.array([[1000.0, 0, 127.5], [0, 1000.0, 127.5], [0, 0, 1]]),
+            world_from_cameras=world_from_cameras,
+            time=np.arange(N_FRAMES) / 30,
+            depth_scale=1e-4,
+            size=(HEIGHT, WIDTH),
+            read=lambda i: (wall[:, 20 * i : 20 * i + WIDTH], np.full((HEIGHT, WIDTH), 10_000, np.uint16)),
+        ),
     )
     torch.manual_seed(0)
     network = DescriptorNetwork(NetworkSettings("resnet18", D, HEIGHT)).eval()

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from bask_data.artifact import Artifact, digest_of, new_scratch, publish, seal
+from bask_data.core.tsdf import Mesh
 from bask_data.dataset import Dataset, Source
-from bask_data.kinds import Demonstration, Reconstruction, Scan
+from bask_data.kinds import CameraFrames, Demonstration, Reconstruction, Scan
 
 
 def publish_recording(
@@ -31,12 +32,14 @@ def publish_recording(
         kind.write_camera(
             group,
             camera,
-            K=K,
-            world_from_cameras=world_from_cameras,
-            time=np.arange(len(raw)) / 30.0,
-            depth_scale=depth_scale,
-            size=raw[0].shape,
-            read=lambda i: (rgb[i], raw[i]),
+            CameraFrames(
+                K=K,
+                world_from_cameras=world_from_cameras,
+                time=np.arange(len(raw)) / 30.0,
+                depth_scale=depth_scale,
+                size=raw[0].shape,
+                read=lambda i: (rgb[i], raw[i]),
+            ),
         )
 
     dataset.add(kind.scope, item, Source(format="test", path="none"))
@@ -81,9 +84,7 @@ def publish_mesh(dataset: Dataset, item: str, vertices: np.ndarray, triangles: n
         item,
         lambda out: Reconstruction.write(
             out,
-            vertices=vertices,
-            triangles=triangles,
-            colors=np.zeros(vertices.shape, np.uint8),
+            Mesh(vertices, triangles, np.zeros(vertices.shape, np.uint8)),
             voxel_size=0.004,
             bounds=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0),
         ),

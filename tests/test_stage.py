@@ -11,6 +11,7 @@ import pytest
 from filelock import FileLock
 
 from bask_data.artifact import read_manifest
+from bask_data.core.tsdf import Mesh
 from bask_data.dataset import Dataset, Splits, Variant
 from bask_data.engine import Outcome, Stage, State, follow, foretold, in_order, is_follower, make, plan, run, state_of
 from bask_data.errors import UsageError
@@ -265,10 +266,10 @@ def test_fault_that_no_stage_foresaw_fails_its_own_item_and_is_named(
 ) -> None:
     write = Reconstruction.write
 
-    def full(out: Path, **arrays: object) -> None:
-        if len(arrays["vertices"]) == 6:  # type: ignore[arg-type]
+    def full(out: Path, mesh: Mesh, **known: object) -> None:
+        if len(mesh.vertices) == 6:
             raise OSError("No space left on device")
-        write(out, **arrays)  # type: ignore[arg-type]
+        write(out, mesh, **known)  # type: ignore[arg-type]
 
     monkeypatch.delenv("BASK_DEBUG", raising=False)
     monkeypatch.setattr(Reconstruction, "write", staticmethod(full))

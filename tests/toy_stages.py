@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
+from bask_data.core.tsdf import Mesh
 from bask_data.engine import Params, Splits, is_follower, stage
 from bask_data.errors import BadData
 from bask_data.kinds import DescriptorNet, InstanceRow, ObjectInstances, Pick, Reconstruction, ReferenceKeypoints, Scan
@@ -31,9 +32,11 @@ def fuse(scan: Scan, params: FuseParams, out: Path) -> None:
     vertices = np.full((3 * n_frames, 3), params.voxel_size, dtype=np.float32)
     Reconstruction.write(
         out,
-        vertices=vertices,
-        triangles=np.arange(3 * n_frames, dtype=np.int32).reshape(-1, 3),
-        colors=np.zeros((3 * n_frames, 3), dtype=np.uint8),
+        Mesh(
+            vertices,
+            np.arange(3 * n_frames, dtype=np.int32).reshape(-1, 3),
+            np.zeros((3 * n_frames, 3), dtype=np.uint8),
+        ),
         voxel_size=params.voxel_size,
         bounds=(0, 0, 0, 1, 1, 1),
     )

@@ -11,7 +11,7 @@ import numpy as np
 
 from bask_data.core.geometry import pixel_grid, transform, unproject
 from bask_data.dataset import Dataset, Source
-from bask_data.kinds import Demonstration, DescriptorNet, Pick, ReferenceKeypoints, Robot
+from bask_data.kinds import CameraFrames, Demonstration, DescriptorNet, Pick, ReferenceKeypoints, Robot
 from tests import scenes
 from tests.datasets import publish_artifact
 
@@ -108,12 +108,14 @@ def dataset_of(
             Demonstration.write_camera(
                 group,
                 name,
-                K=K,
-                world_from_cameras=world_from_cameras,
-                time=np.arange(len(rgb)) / 30.0,
-                depth_scale=0.0001,
-                size=(HEIGHT, WIDTH),
-                read=lambda i, rgb=rgb, depth=depth: (rgb[i], np.round(depth[i] * 1e4).astype(np.uint16)),
+                CameraFrames(
+                    K=K,
+                    world_from_cameras=world_from_cameras,
+                    time=np.arange(len(rgb)) / 30.0,
+                    depth_scale=0.0001,
+                    size=(HEIGHT, WIDTH),
+                    read=lambda i, rgb=rgb, depth=depth: (rgb[i], np.round(depth[i] * 1e4).astype(np.uint16)),
+                ),
             )
         if robot:
             Demonstration.write_robot(out, group, robot)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bask_data.artifact import Artifact
-from bask_data.kinds.cameras import Camera, Recording, Scan
+from bask_data.kinds.cameras import Camera, CameraFrames, Recording, Scan
 from bask_data.kinds.correspondences import Correspondences, PairRow
 from bask_data.kinds.demonstration import Demonstration, Robot
 from bask_data.kinds.descriptor import DescriptorNet
@@ -30,6 +30,7 @@ KINDS: tuple[type[Artifact], ...] = (
 __all__ = [
     "KINDS",
     "Camera",
+    "CameraFrames",
     "Correspondences",
     "Demonstration",
     "DescriptorNet",

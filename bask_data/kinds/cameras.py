@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -127,6 +128,27 @@ class Camera:
         return self._group["depth"]  # type: ignore[return-value]
 
 
+@dataclass(frozen=True)
+class CameraFrames:
+    """One camera's frames as they are written, read one at a time.
+
+    Args:
+        K: (3, 3), or (t, 3, 3) where it changes.
+        world_from_cameras: (t, 4, 4).
+        time: (t,), seconds.
+        depth_scale: metres per unit of the depth that is read.
+        size: (height, width).
+        read: gives (rgb (h, w, 3) uint8, depth (h, w) uint16 in units of `depth_scale` metres) of a frame.
+    """
+
+    K: np.ndarray
+    world_from_cameras: np.ndarray
+    time: np.ndarray
+    depth_scale: float
+    size: tuple[int, int]
+    read: Callable[[int], tuple[np.ndarray, np.ndarray]]
+
+
 class Recording(Artifact):
     """What scans and demonstrations share: named cameras with posed RGB-D frames."""
 
@@ -147,31 +169,24 @@ class Recording(Artifact):
         cls,
         group: zarr.Group,
         name: str,
+        camera: CameraFrames,
         *,
-        K: np.ndarray,
-        world_from_cameras: np.ndarray,
-        time: np.ndarray,
-        depth_scale: float,
-        size: tuple[int, int],
-        read: Callable[[int], tuple[np.ndarray, np.ndarray]],
         frames: Callable[[range], object] = iter,
     ) -> None:
         """Stream one camera's frames into the artifact.
 
         Args:
-            size: (height, width).
-            read: gives (rgb (h, w, 3) uint8, depth (h, w) uint16 in units of `depth_scale` metres) of a frame.
             frames: wraps the range of frames, to show progress.
         """
-        n_frames = len(world_from_cameras)
+        n_frames, size = len(camera.world_from_cameras), camera.size
         write_group(Path(str(group.store_path.store.root)) / group.path / name, {"bask": {"role": "camera"}})  # type: ignore[attr-defined]
-        write_array(group, cls, f"{name}/intrinsics", K)
-        write_array(group, cls, f"{name}/world_from_camera", world_from_cameras)
-        write_array(group, cls, f"{name}/time", time)
+        write_array(group, cls, f"{name}/intrinsics", camera.K)
+        write_array(group, cls, f"{name}/world_from_camera", camera.world_from_cameras)
+        write_array(group, cls, f"{name}/time", camera.time)
         rgb = FrameWriter(group, cls, f"{name}/rgb", n_frames, (*size, 3))
-        depth = FrameWriter(group, cls, f"{name}/depth", n_frames, size, scale_m=depth_scale)
+        depth = FrameWriter(group, cls, f"{name}/depth", n_frames, size, scale_m=camera.depth_scale)
         for i_frame in frames(range(n_frames)):  # type: ignore[attr-defined]
-            color, raw = read(i_frame)
+            color, raw = camera.read(i_frame)
             rgb.append(color)
             depth.append(raw)
         rgb.close()

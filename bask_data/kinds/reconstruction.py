@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     import numpy as np
     import pyarrow as pa
 
+    from bask_data.core.tsdf import Mesh
+
 
 class FrameRow(Metadata):
     """One frame of the scan: what became of it, and how the mesh explains what it measured.
@@ -171,10 +173,8 @@ class Reconstruction(Artifact):
     @staticmethod
     def write(
         out: Path,
+        mesh: Mesh,
         *,
-        vertices: np.ndarray,
-        triangles: np.ndarray,
-        colors: np.ndarray,
         voxel_size: float,
         bounds: tuple[float, float, float, float, float, float],
         quality: Quality | None = None,
@@ -191,10 +191,10 @@ class Reconstruction(Artifact):
             warnings=list(warnings),
         )
         group = start(out, Reconstruction, metadata.model_dump(mode="json"))
-        write_array(group, Reconstruction, "vertices", vertices)
-        write_array(group, Reconstruction, "triangles", triangles)
-        write_array(group, Reconstruction, "colors", colors)
-        _write_ply(out / "mesh.ply", vertices, triangles, colors)
+        write_array(group, Reconstruction, "vertices", mesh.vertices)
+        write_array(group, Reconstruction, "triangles", mesh.triangles)
+        write_array(group, Reconstruction, "colors", mesh.colors)
+        _write_ply(out / "mesh.ply", mesh.vertices, mesh.triangles, mesh.colors)
         names = Reconstruction.tables["frames.parquet"].columns
         columns = {name: [getattr(row, name) for row in frames] for name in names}
         write_table(out, Reconstruction, "frames.parquet", columns)

@@ -14,7 +14,7 @@ from bask_data.dataset import DATASET, Dataset, Source, check_name
 from bask_data.engine import Outcome, progress
 from bask_data.errors import BadData
 from bask_data.formats import Format
-from bask_data.kinds import Demonstration, Recording, Robot, Scan, Truth
+from bask_data.kinds import CameraFrames, Demonstration, Recording, Robot, Scan, Truth
 from bask_data.params import Params
 from bask_data.stages.recordings import is_current, published, refuse_other_scope, scratches, undone_if_new, up_to_date
 
@@ -139,12 +139,14 @@ def _write_recording(
         makes.write_camera(
             group,
             camera.name,
-            K=camera.K,
-            world_from_cameras=camera.world_from_cameras,
-            time=camera.time,
-            depth_scale=camera.depth_scale,
-            size=(camera.height, camera.width),
-            read=_checked(camera),
+            CameraFrames(
+                K=camera.K,
+                world_from_cameras=camera.world_from_cameras,
+                time=camera.time,
+                depth_scale=camera.depth_scale,
+                size=(camera.height, camera.width),
+                read=_checked(camera),
+            ),
             frames=lambda frames, name=camera.name: progress(frames, f"reading {name}"),  # type: ignore[misc]
         )
     if makes is Demonstration and read.robot is not None:

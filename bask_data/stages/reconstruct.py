@@ -123,9 +123,7 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
     lowest, highest = survey.bounds.tolist()
     Reconstruction.write(
         out,
-        vertices=mesh.vertices,
-        triangles=mesh.triangles,
-        colors=mesh.colors,
+        mesh,
         voxel_size=params.voxel_size,
         bounds=(*lowest, *highest),
         quality=Quality(

@@ -14,7 +14,7 @@ from bask_data.artifact import digest_of
 from bask_data.dataset import Dataset, Source
 from bask_data.engine import Outcome, progress
 from bask_data.errors import UsageError
-from bask_data.kinds import Demonstration, Robot, Scan, Truth
+from bask_data.kinds import CameraFrames, Demonstration, Robot, Scan, Truth
 from bask_data.kinds.truth import TruthMetadata, TruthWriter
 from bask_data.sim.options import CAMERAS, TASKS, CameraName, SimOptions
 from bask_data.stages.recordings import is_current, published, refuse_other_scope, scratches, undone_if_new, up_to_date
@@ -275,12 +275,9 @@ def _write_camera(
     job.makes.write_camera(
         group,
         name,
-        K=K,
-        world_from_cameras=world_from_cameras,
-        time=take.time,
-        depth_scale=DEPTH_SCALE,
-        size=size,
-        read=read,
+        CameraFrames(
+            K=K, world_from_cameras=world_from_cameras, time=take.time, depth_scale=DEPTH_SCALE, size=size, read=read
+        ),
         frames=lambda frames: progress(frames, f"{job.item}: drawing {name}"),
     )
 

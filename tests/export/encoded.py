@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from bask_data.dataset import Dataset, Source
-from bask_data.kinds import Demonstration, KeypointTrack, Robot
+from bask_data.kinds import CameraFrames, Demonstration, KeypointTrack, Robot
 from tests.datasets import publish_artifact
 
 ACTIONS = ("dx", "dy", "dz", "width")
@@ -66,14 +66,16 @@ class Demo:
             Demonstration.write_camera(
                 group,
                 camera,
-                K=np.diag([20.0, 20.0, 1.0]),
-                world_from_cameras=np.tile(np.eye(4), (len(self.time), 1, 1)),
-                time=self.time,
-                depth_scale=0.001,
-                size=self.size,
-                read=lambda i, camera=camera: (
-                    np.resize(picture(i, camera), (*self.size, 3)),
-                    np.zeros(self.size, np.uint16),
+                CameraFrames(
+                    K=np.diag([20.0, 20.0, 1.0]),
+                    world_from_cameras=np.tile(np.eye(4), (len(self.time), 1, 1)),
+                    time=self.time,
+                    depth_scale=0.001,
+                    size=self.size,
+                    read=lambda i, camera=camera: (
+                        np.resize(picture(i, camera), (*self.size, 3)),
+                        np.zeros(self.size, np.uint16),
+                    ),
                 ),
             )
         if self.robot:

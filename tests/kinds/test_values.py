@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import zarr
 
+from bask_data.core.tsdf import Mesh
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
 from bask_data.kinds import Pick, Reconstruction, ReferenceKeypoints, Scan
@@ -37,9 +38,9 @@ def test_transforms_that_are_not_rigid(scan: Path) -> None:
 def test_triangles_of_vertices_that_do_not_exist(tmp_path: Path) -> None:
     Reconstruction.write(
         tmp_path,
-        vertices=np.zeros((3, 3), dtype=np.float32),
-        triangles=np.array([[0, 1, 3]], dtype=np.int32),
-        colors=np.zeros((3, 3), dtype=np.uint8),
+        Mesh(
+            np.zeros((3, 3), dtype=np.float32), np.array([[0, 1, 3]], dtype=np.int32), np.zeros((3, 3), dtype=np.uint8)
+        ),
         voxel_size=0.01,
         bounds=(0, 0, 0, 1, 1, 1),
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from bask_data.core.geometry import invert_rigid, pixel_grid, project, transform, unproject
+from bask_data.core.tsdf import Mesh
 from bask_data.dataset import Dataset
 from bask_data.kinds import (
     Correspondences,
@@ -118,9 +119,7 @@ def publish_scene(dataset: Dataset, item: str, seen: Views) -> None:
         item,
         lambda out: Reconstruction.write(
             out,
-            vertices=vertices,
-            triangles=triangles,
-            colors=colors,
+            Mesh(vertices, triangles, colors),
             voxel_size=0.004,
             bounds=(-1, -1, -0.1, 1, 1, 0.3),
             quality=Quality(

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bask_data.core.tsdf import Volume
+from bask_data.core.tsdf import Mesh, Volume
 from bask_data.dataset import Dataset
 from bask_data.engine import Outcome, make, plan
-from bask_data.kinds import InstanceRow, ObjectInstances, Reconstruction, Scan, VisibleMasks
+from bask_data.kinds import CameraFrames, InstanceRow, ObjectInstances, Reconstruction, Scan, VisibleMasks
 from bask_data.stages.masks import masks
 from tests.datasets import publish_artifact, publish_recording
 from tests.scenes import Plane, Scene, Sphere, View, intrinsics, orbit, tabletop
@@ -50,12 +50,7 @@ def dataset_of(
         Reconstruction,
         "a",
         lambda out: Reconstruction.write(
-            out,
-            vertices=mesh.vertices,
-            triangles=triangles,
-            colors=mesh.colors,
-            voxel_size=0.005,
-            bounds=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0),
+            out, Mesh(mesh.vertices, triangles, mesh.colors), voxel_size=0.005, bounds=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0)
         ),
     )
     rows = [
@@ -92,12 +87,14 @@ def two_cameras(root: Path) -> tuple[Dataset, dict[str, list[View]]]:
             Scan.write_camera(
                 group,
                 name,
-                K=K_of,
-                world_from_cameras=cameras,
-                time=np.arange(len(frames)) / 30.0,
-                depth_scale=1e-4,
-                size=frames[0].depth.shape,
-                read=lambda i, frames=frames: (frames[i].rgb, np.round(frames[i].depth / 1e-4).astype(np.uint16)),
+                CameraFrames(
+                    K=K_of,
+                    world_from_cameras=cameras,
+                    time=np.arange(len(frames)) / 30.0,
+                    depth_scale=1e-4,
+                    size=frames[0].depth.shape,
+                    read=lambda i, frames=frames: (frames[i].rgb, np.round(frames[i].depth / 1e-4).astype(np.uint16)),
+                ),
             )
 
     publish_artifact(dataset, Scan, "a", fill)

@@ -12,7 +12,7 @@ import pytest
 from bask_data.dataset import Dataset, Source
 from bask_data.engine import Outcome, make, plan
 from bask_data.errors import UsageError
-from bask_data.kinds import Reconstruction, Scan
+from bask_data.kinds import CameraFrames, Reconstruction, Scan
 from bask_data.stages.reconstruct import WORKING_BYTES, reconstruct
 from tests.datasets import publish_artifact, publish_recording
 from tests.scenes import Box, Plane, Scene, Sphere, intrinsics, look_at, noisy, orbit
@@ -157,12 +157,14 @@ def test_all_cameras_of_a_scan_are_fused(tmp_path: Path) -> None:
             Scan.write_camera(
                 group,
                 name,
-                K=matrix,
-                world_from_cameras=poses,
-                time=np.arange(len(raw)) / 30.0,
-                depth_scale=1e-4,
-                size=raw[0].shape,
-                read=lambda i, seen=seen, raw=raw: (seen[i].rgb, raw[i]),
+                CameraFrames(
+                    K=matrix,
+                    world_from_cameras=poses,
+                    time=np.arange(len(raw)) / 30.0,
+                    depth_scale=1e-4,
+                    size=raw[0].shape,
+                    read=lambda i, seen=seen, raw=raw: (seen[i].rgb, raw[i]),
+                ),
             )
 
     dataset.add("scene", "a", Source(format="test", path="none"))

@@ -10,7 +10,7 @@ from rerun.chunk import RrdReader
 
 from bask_data.artifact import write_group
 from bask_data.dataset import Dataset
-from bask_data.kinds import Demonstration, Robot
+from bask_data.kinds import CameraFrames, Demonstration, Robot
 from tests.datasets import publish_artifact
 
 
@@ -65,12 +65,14 @@ def publish_demonstration(dataset: Dataset, item: str, source: str, robot: Robot
             Demonstration.write_camera(
                 group,
                 camera.name,
-                K=camera.K,
-                world_from_cameras=camera.world_from_cameras,
-                time=camera.time,
-                depth_scale=camera.depth_scale,
-                size=(camera.height, camera.width),
-                read=lambda i, camera=camera: (camera.rgb(i), camera.depth_raw(i)),
+                CameraFrames(
+                    K=camera.K,
+                    world_from_cameras=camera.world_from_cameras,
+                    time=camera.time,
+                    depth_scale=camera.depth_scale,
+                    size=(camera.height, camera.width),
+                    read=lambda i, camera=camera: (camera.rgb(i), camera.depth_raw(i)),
+                ),
             )
         write_group(out / "robot", {"bask": {"role": "robot"}})
         Demonstration.write_robot(out, group, robot)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
+from bask_data.core.tsdf import Mesh
 from bask_data.dataset import Dataset
 from bask_data.drawing.pictures import heat_picture, palette
 from bask_data.errors import BadData, BaskError, UsageError, WouldOverwrite
@@ -19,6 +20,7 @@ from bask_data.evaluation.finder import Finder
 from bask_data.evaluation.lookup import find_recording
 from bask_data.evaluation.reference_points import TruePlaces
 from bask_data.kinds import (
+    CameraFrames,
     Correspondences,
     Demonstration,
     DescriptorNet,
@@ -627,9 +629,7 @@ def _break_mesh(dataset: Dataset) -> None:
         "scan-a",
         lambda out: Reconstruction.write(
             out,
-            vertices=np.full((3, 3), np.nan, np.float32),
-            triangles=np.zeros((1, 3), np.int32),
-            colors=np.zeros((3, 3), np.uint8),
+            Mesh(np.full((3, 3), np.nan, np.float32), np.zeros((1, 3), np.int32), np.zeros((3, 3), np.uint8)),
             voxel_size=0.01,
             bounds=(0, 0, 0, 1, 1, 1),
         ),
@@ -644,12 +644,14 @@ def _break_time(dataset: Dataset) -> None:
         Scan.write_camera(
             group,
             "wrist",
-            K=source.K,
-            world_from_cameras=source.world_from_cameras,
-            time=np.full(6, np.nan),
-            depth_scale=0.001,
-            size=(HEIGHT, WIDTH),
-            read=lambda i: (source.rgb(i), source.depth_raw(i)),
+            CameraFrames(
+                K=source.K,
+                world_from_cameras=source.world_from_cameras,
+                time=np.full(6, np.nan),
+                depth_scale=0.001,
+                size=(HEIGHT, WIDTH),
+                read=lambda i: (source.rgb(i), source.depth_raw(i)),
+            ),
         )
 
     publish_artifact(dataset, Scan, "scan-a", write)
