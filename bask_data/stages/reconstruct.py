@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,43 +11,40 @@ from pydantic import BeforeValidator, Field, field_validator
 
 from bask_data.engine import Params, progress, stage
 from bask_data.errors import BadData, UsageError
-from bask_data.kinds import Camera, Reconstruction, Scan
-from bask_data.kinds.reconstruction import FrameRow, Quality, UnmeasuredRegion
+from bask_data.kinds import Reconstruction, Scan
+from bask_data.kinds.reconstruction import Quality
+from bask_data.stages.fusion_memory import (
+    Survey,
+    amount_of_memory,
+    memory_limit,
+    most_blocks,
+    resident_bytes,
+    too_large,
+)
+from bask_data.stages.mesh_quality import (
+    N_SEARCHED,
+    FrameOfCamera,
+    Note,
+    assessed,
+    held_against,
+    median,
+    spread_evenly,
+    suspects_of,
+    warnings_of,
+)
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from bask_data.core.fit import FacedSurface, Fit, Sketch
     from bask_data.core.tsdf import Mesh
 
 N_SURVEYED = 24
 """Frames looked at before the fusion, to estimate the workspace and the size of the volume."""
 
-N_SEARCHED = 48
-"""Frames kept in finer sketches, to search for what no camera can measure."""
-
 SKETCH_COLUMNS, FINE_SKETCH_COLUMNS = 40, 80
-
-WORKING_BYTES = 100 * 2**20
-"""What reading and preparing one frame takes on top of the volume."""
-
-USED_SHARE = 0.8
-"""Of the memory that is free, unless `max_memory` says otherwise."""
+"""Rays across a frame by which it is compared with the mesh, and by which unmeasured regions are searched; a choice of
+time (1,200 and 4,800 rays of a 4:3 image). Not measured."""
 
 DROPPED_SHARE = 0.2
 """Most of the frames that may be dropped as suspect: when more disagree, the recording as a whole is in doubt."""
-
-POOR = 0.6
-"""Share of the depth that lies on the mesh, below which all poses, or the scale of the depth, are in doubt."""
-
-FrameOfCamera = tuple[Camera, int]
-
-
-def _amount_of_memory(given: object) -> str:
-    text = str(given).strip().upper()
-    if not re.fullmatch(r"(\d+(\.\d+)?\s*([MG]B)?)?", text):
-        raise ValueError("an amount of memory such as 4GB or 800MB")
-    return text
 
 
 class ReconstructParams(Params):
@@ -80,7 +76,7 @@ class ReconstructParams(Params):
         True, description="Fuse again without the frames that disagree with all others, should there be a few."
     )
     # It decides whether there is a result, never which: so it is no part of what the result depends on.
-    max_memory: Annotated[str, BeforeValidator(_amount_of_memory)] = Field(
+    max_memory: Annotated[str, BeforeValidator(amount_of_memory)] = Field(
         "",
         exclude=True,
         description="Refuse to take more memory than this: 4GB, 800MB. Default: 80 % of what is free.",
@@ -107,8 +103,8 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
     frames = _frames(scan, params, excluded)
     survey = _survey(scan, frames, params)
     fusion = _fused(scan, frames, survey, params)
-    held = _held(frames, fusion.notes, fusion.judge, survey.bounds)
-    suspects = _suspects(frames, held.fits)
+    held = held_against(frames, fusion.notes, fusion.judge, survey.bounds)
+    suspects = suspects_of(frames, held.fits)
     dropped = params.drop_suspects and 0 < len(suspects) <= DROPPED_SHARE * len(frames)
     mesh = fusion.mesh
     if dropped:
@@ -118,8 +114,8 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
     # A single wrong frame among few hides the true surface, so frames are judged by a stricter mesh; what is reported
     # of them is about the one that is kept.
     if mesh is not fusion.judge:
-        held = _held(frames, fusion.notes, mesh, survey.bounds)
-    assessment = _assessed(frames, fusion.notes, held, survey.bounds, suspects, dropped)
+        held = held_against(frames, fusion.notes, mesh, survey.bounds)
+    assessment = assessed(frames, fusion.notes, held, survey.bounds, suspects, dropped)
     lowest, highest = survey.bounds.tolist()
     Reconstruction.write(
         out,
@@ -136,14 +132,14 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
             frames_suspect=len(suspects),
             workspace="estimated" if params.workspace is None else "given",
             voxel_blocks=fusion.n_blocks,
-            explained=_median(row.explained for row in assessment.rows),
-            residual=_median(row.residual for row in assessment.rows),
-            residual_abs=_median(row.residual_abs for row in assessment.rows),
+            explained=median(row.explained for row in assessment.rows),
+            residual=median(row.residual for row in assessment.rows),
+            residual_abs=median(row.residual_abs for row in assessment.rows),
             seen_from_behind=round(assessment.seen_from_behind, 4),
         ),
         frames=assessment.rows,
         unmeasured=assessment.unmeasured,
-        warnings=_warnings(assessment, params),
+        warnings=warnings_of(assessment, params.near, params.far),
     )
 
 
@@ -189,27 +185,10 @@ def _frames(scan: Scan, params: ReconstructParams, excluded: set[tuple[str, int]
     return frames
 
 
-def _spread(n: int, n_chosen: int) -> list[int]:
-    """At most `n_chosen` of n numbers, evenly spread, the first and the last among them."""
-    import numpy as np
-
-    return sorted({int(k) for k in np.linspace(0, n - 1, n_chosen).round()}) if n else []
-
-
 # Workspace and memory -------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Survey:
-    """What a first look at some frames tells: the workspace (2, 3) in metres, the blocks that these frames touch, and
-    how many all will."""
-
-    bounds: np.ndarray
-    blocks: np.ndarray
-    n_blocks: int
-
-
-def _survey(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) -> _Survey:
+def _survey(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) -> Survey:
     """Look over frames spread evenly over the scan, each pose once.
 
     A camera that stands still agrees with itself on all it sees, the floor behind the table too.
@@ -221,7 +200,7 @@ def _survey(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) 
     poses = {(camera.name, camera.world_from_cameras[i].tobytes()): (camera, i) for camera, i in reversed(frames)}
     moved = list(poses.values())[::-1]
     clouds, touched = [], []
-    for i_chosen in progress(_spread(len(moved), N_SURVEYED), "looking over the scan"):
+    for i_chosen in progress(spread_evenly(len(moved), N_SURVEYED), "looking over the scan"):
         camera, i_frame = moved[i_chosen]
         measured = depth.cleaned(camera.depth(i_frame), params.near, params.far)
         view = (measured, camera.K, camera.world_from_cameras[i_frame])
@@ -239,102 +218,16 @@ def _survey(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) 
     if params.workspace is not None:
         bounds = np.reshape(params.workspace, (2, 3)).astype(float)
     inside = [blocks[tsdf.blocks_inside(blocks, params.voxel_size, bounds)] for blocks in touched]
-    return _Survey(bounds, np.unique(np.concatenate(inside), axis=0), tsdf.expected_blocks(inside, len(moved)))
-
-
-def _most_blocks(survey: _Survey, params: ReconstructParams) -> int:
-    """Voxel blocks that fit into the memory allowed; refuses when fewer than are expected."""
-    from bask_data.core import tsdf
-
-    begun, limit = _resident_bytes(), _memory_limit(params.max_memory)
-    n_blocks = min(max(0, int((limit - begun - WORKING_BYTES) / tsdf.peak_bytes(1))), tsdf.MOST_BLOCKS)
-    if n_blocks < survey.n_blocks:
-        raise _too_large(survey.n_blocks, begun, limit, survey, params)
-    return n_blocks
-
-
-def _too_large(n_blocks: int, begun: int, limit: int, survey: _Survey, params: ReconstructParams) -> UsageError:
-    """The refusal, and what would fit."""
-    from bask_data.core import tsdf
-
-    needed = begun + WORKING_BYTES + tsdf.peak_bytes(n_blocks)
-    remedies = []
-    room = min(limit - begun - WORKING_BYTES, tsdf.peak_bytes(tsdf.MOST_BLOCKS))
-    if voxel_size := _voxel_size_that_fits(n_blocks, room, survey, params):
-        size = " x ".join(f"{edge:.2f}" for edge in survey.bounds[1] - survey.bounds[0])
-        remedies += [f"--voxel-size {voxel_size:g}", f"a --workspace smaller than {size} m"]
-    if n_blocks > tsdf.MOST_BLOCKS:
-        return UsageError(
-            "reconstruct",
-            "voxel_size",
-            expected=f"at most {tsdf.MOST_BLOCKS} voxel blocks, which is what Open3D can count",
-            got=f"about {n_blocks} at voxels of {params.voxel_size * 1000:g} mm",
-            fix=", or ".join(remedies or ["larger voxels"]) + ".",
-        )
-    remedies.append(f"--max-memory {_amount(math.ceil(needed * 1.1))}")
-    return UsageError(
-        "reconstruct",
-        "max_memory",
-        expected=f"at most {_amount(limit)}",
-        got=f"a need of about {_amount(needed)} at voxels of {params.voxel_size * 1000:g} mm",
-        fix=", or ".join(remedies) + ".",
+    return Survey(
+        bounds=bounds,
+        blocks=np.unique(np.concatenate(inside), axis=0),
+        n_blocks=tsdf.expected_blocks(inside, len(moved)),
+        voxel_size=params.voxel_size,
+        truncation=params.truncation,
     )
 
 
-def _voxel_size_that_fits(n_blocks: int, n_bytes: int, survey: _Survey, params: ReconstructParams) -> float | None:
-    """The smallest, of steps of a tenth, that takes 10 % less than so much memory; None if not ten times as large."""
-    from bask_data.core import tsdf
-
-    for factor in (1.1**k for k in range(1, 25)):
-        share = tsdf.coarsening(survey.blocks, factor, params.truncation)
-        if tsdf.peak_bytes(math.ceil(1.1 * share * n_blocks)) <= n_bytes:
-            return math.ceil(params.voxel_size * factor * 1e4) / 1e4
-    return None
-
-
-def _memory_limit(text: str) -> int:
-    """Bytes: as given, in GB where no unit is, or a share of what the machine has free and this process holds."""
-    match = re.fullmatch(r"([\d.]+)\s*([MG]B)?", text)
-    if match:
-        return int(float(match[1]) * (1e6 if match[2] == "MB" else 1e9))
-    return _resident_bytes() + int(USED_SHARE * _free_bytes())
-
-
-def _resident_bytes() -> int:
-    import psutil
-
-    return int(psutil.Process().memory_info().rss)
-
-
-def _free_bytes() -> int:
-    """Of the machine, or of the container, which the machine's own figures know nothing of."""
-    import psutil
-
-    free = int(psutil.virtual_memory().available)
-    group = Path("/sys/fs/cgroup")
-    try:
-        limit = (group / "memory.max").read_text().strip()
-        if limit != "max":
-            free = min(free, int(limit) - int((group / "memory.current").read_text()))
-    except (OSError, ValueError):
-        pass  # No Linux, or no container.
-    return max(free, 0)
-
-
-def _amount(n_bytes: int) -> str:
-    return f"{n_bytes / 1e9:.2g}GB" if n_bytes >= 1e9 else f"{n_bytes / 1e6:.0f}MB"
-
-
 # Fusion ---------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Note:
-    """What is kept of a frame after it was fused: a few kilobytes."""
-
-    fused: bool
-    valid_depth: float
-    sketch: Sketch
 
 
 @dataclass(frozen=True)
@@ -343,18 +236,18 @@ class _Fusion:
 
     mesh: Mesh
     judge: Mesh
-    notes: list[_Note]
+    notes: list[Note]
     n_blocks: int
 
 
-def _fused(scan: Scan, frames: list[FrameOfCamera], survey: _Survey, params: ReconstructParams) -> _Fusion:
+def _fused(scan: Scan, frames: list[FrameOfCamera], survey: Survey, params: ReconstructParams) -> _Fusion:
     import numpy as np
 
     from bask_data.core import depth, fit, tsdf
 
-    most = _most_blocks(survey, params)
+    most = most_blocks(survey, params.max_memory)
     volume = tsdf.Volume(params.voxel_size, params.truncation, survey.bounds, survey.n_blocks, most)
-    fine = set(_spread(len(frames), N_SEARCHED))
+    fine = set(spread_evenly(len(frames), N_SEARCHED))
     notes = []
     for k, (camera, i_frame) in enumerate(progress(frames, "fusing frames")):
         raw = camera.depth(i_frame)
@@ -362,11 +255,11 @@ def _fused(scan: Scan, frames: list[FrameOfCamera], survey: _Survey, params: Rec
         try:
             fused = volume.integrate(measured, camera.rgb(i_frame), camera.K, camera.world_from_cameras[i_frame])
         except tsdf.VolumeTooLarge as error:
-            limit, begun = _memory_limit(params.max_memory), _resident_bytes() - volume.n_blocks * tsdf.BLOCK_BYTES
-            raise _too_large(error.n_needed * len(frames) // (k + 1), begun, limit, survey, params) from None
+            limit, begun = memory_limit(params.max_memory), resident_bytes() - volume.n_blocks * tsdf.BLOCK_BYTES
+            raise too_large(error.n_needed * len(frames) // (k + 1), begun, limit, survey) from None
         columns = FINE_SKETCH_COLUMNS if k in fine else SKETCH_COLUMNS
         notes.append(
-            _Note(
+            Note(
                 fused,
                 float(np.count_nonzero(measured)) / measured.size,
                 fit.sketch(raw, measured, params.far, columns),
@@ -385,158 +278,3 @@ def _fused(scan: Scan, frames: list[FrameOfCamera], survey: _Survey, params: Rec
             fix="check --workspace (world frame, metres), or leave it out to have it estimated.",
         )
     return _Fusion(mesh, judge if judge is not None and len(judge.triangles) else mesh, notes, n_blocks)
-
-
-# Quality --------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Assessment:
-    """How the mesh and the frames agree, and where no frame could measure."""
-
-    rows: list[FrameRow]
-    seen_from_behind: float
-    unmeasured: list[UnmeasuredRegion]
-
-
-@dataclass(frozen=True)
-class _Held:
-    """A mesh ready for rays, and every frame held against it."""
-
-    surface: FacedSurface
-    fits: list[Fit]
-
-
-def _held(frames: list[FrameOfCamera], notes: list[_Note], mesh: Mesh, bounds: np.ndarray) -> _Held:
-    from bask_data.core import fit
-
-    surface = fit.FacedSurface(mesh.vertices, mesh.triangles)
-    fits = [
-        fit.fit(note.sketch, camera.K, camera.world_from_cameras[i_frame], surface, bounds)
-        for (camera, i_frame), note in zip(frames, notes, strict=True)
-    ]
-    return _Held(surface, fits)
-
-
-def _assessed(
-    frames: list[FrameOfCamera],
-    notes: list[_Note],
-    held: _Held,
-    bounds: np.ndarray,
-    suspects: set[tuple[str, int]],
-    dropped: bool,
-) -> _Assessment:
-    """What is told of the mesh and the frames that were held against it.
-
-    Args:
-        suspects: frames that disagree with the others.
-        dropped: whether the mesh is without those.
-    """
-    rows = [
-        FrameRow(
-            camera=camera.name,
-            frame=i_frame,
-            fused=note.fused and not (dropped and (camera.name, i_frame) in suspects),
-            suspect=(camera.name, i_frame) in suspects,
-            valid_depth=note.valid_depth,
-            n_judged=one.n_judged,
-            explained=one.explained,
-            residual=one.residual,
-            residual_abs=one.residual_abs,
-            from_behind=one.from_behind,
-        )
-        for (camera, i_frame), note, one in zip(frames, notes, held.fits, strict=True)
-    ]
-    # Asked before more rays are cast, whose hits would count.
-    from_behind = held.surface.area_from_behind
-    return _Assessment(rows, from_behind, _unmeasured(frames, notes, held.surface, bounds))
-
-
-def _suspects(frames: list[FrameOfCamera], fits: list[Fit]) -> set[tuple[str, int]]:
-    """Camera and number of the frames that the mesh explains far worse than others of the same camera."""
-    import numpy as np
-
-    from bask_data.core import fit
-
-    found: set[tuple[str, int]] = set()
-    for name in {camera.name for camera, _ in frames}:
-        own = [(i_frame, one) for (camera, i_frame), one in zip(frames, fits, strict=True) if camera.name == name]
-        odd = fit.outliers(
-            np.array([one.n_judged for _, one in own]),
-            np.array([one.explained for _, one in own]),
-            np.array([one.residual_abs for _, one in own]),
-        )
-        found |= {(name, own[k][0]) for k in np.flatnonzero(odd)}
-    return found
-
-
-def _unmeasured(
-    frames: list[FrameOfCamera], notes: list[_Note], surface: FacedSurface, bounds: np.ndarray
-) -> list[UnmeasuredRegion]:
-    from bask_data.core import fit, unmeasured
-
-    views = []
-    for k in _spread(len(frames), N_SEARCHED):
-        (camera, i_frame), sketch = frames[k], notes[k].sketch
-        world_from_camera = camera.world_from_cameras[i_frame]
-        mesh_depth, _ = surface.cast(fit.sketch_rays(sketch, camera.K, world_from_camera))
-        mesh_depth = mesh_depth.reshape(sketch.depth.shape)
-        views.append(unmeasured.SketchedView(sketch, camera.K, world_from_camera, mesh_depth))
-    return [
-        UnmeasuredRegion(centre=region.centre, size=region.size, volume=region.volume)
-        for region in unmeasured.unmeasured_regions(views, bounds)
-    ]
-
-
-def _warnings(assessment: _Assessment, params: ReconstructParams) -> list[str]:
-    """What a person should know, with what to do about it."""
-    rows, warnings = assessment.rows, []
-    if blind := [row for row in rows if row.valid_depth == 0]:
-        warnings.append(
-            f"{len(blind)} of {len(rows)} frames have no depth between {params.near:g} and {params.far:g} m and were "
-            f"skipped: {_listed(blind)}."
-        )
-    usual, error = _median(row.explained for row in rows), _median(row.residual_abs for row in rows)
-    if usual is not None and error is not None and usual < POOR:
-        warnings.append(
-            f"only {usual:.0%} of the depth lies on the surface, it is off by {100 * error:.1f} cm in the median: "
-            "check the camera poses, the depth scale and the intrinsics, or the sensor is that noisy."
-        )
-    if suspects := [row for row in rows if row.suspect]:
-        figures = ", ".join(
-            f"{row.camera} {row.frame} ({row.explained:.0%} of its depth on the surface, off by "
-            f"{row.residual_abs * 100:.1f} cm)"
-            for row in suspects[:5]
-        )
-        more = f" and {len(suspects) - 5} more" if len(suspects) > 5 else ""
-        names = ",".join(f"{row.camera}:{row.frame}" for row in suspects)
-        done = (
-            "They were left out of the mesh; --no-drop-suspects keeps them."
-            if not any(row.fused for row in suspects)
-            else f"To leave them out: --exclude {names}"
-        )
-        warnings.append(
-            f"{len(suspects)} of {len(rows)} frames disagree with the others, which have {usual:.0%} on the surface: "
-            f"{figures}{more}. Their poses may be wrong, or something moved. {done}"
-        )
-    for region in assessment.unmeasured:
-        centre = ", ".join(f"{x:.2f}" for x in region.centre)
-        size = " x ".join(f"{100 * x:.0f}" for x in region.size)
-        warnings.append(
-            f"the cameras could not measure what stands at {centre} m (about {size} cm): transparent, shiny or black? "
-            "Masks there cannot be trusted."
-        )
-    return warnings
-
-
-def _listed(rows: list[FrameRow], most: int = 8) -> str:
-    names = [f"{row.camera} {row.frame}" for row in rows]
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-def _median(values: object) -> float | None:
-    """The median of the numbers among the values; None if there is none."""
-    import numpy as np
-
-    known = [value for value in values if not math.isnan(value)]  # type: ignore[attr-defined]
-    return round(float(np.median(known)), 6) if known else None

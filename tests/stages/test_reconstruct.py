@@ -13,7 +13,8 @@ from bask_data.dataset import Dataset, Source
 from bask_data.engine import Outcome, make, plan
 from bask_data.errors import UsageError
 from bask_data.kinds import CameraFrames, Reconstruction, Scan
-from bask_data.stages.reconstruct import WORKING_BYTES, reconstruct
+from bask_data.stages.fusion_memory import WORKING_BYTES
+from bask_data.stages.reconstruct import reconstruct
 from tests.datasets import publish_artifact, publish_recording
 from tests.scenes import Box, Plane, Scene, Sphere, intrinsics, look_at, noisy, orbit
 
@@ -317,7 +318,7 @@ def test_no_voxel_size_is_named_when_none_would_fit(tmp_path: Path) -> None:
 def test_memory_that_the_first_look_did_not_foresee_is_refused_when_it_is_needed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bask_data.stages.reconstruct._most_blocks", lambda survey, params: survey.n_blocks // 2)
+    monkeypatch.setattr("bask_data.stages.reconstruct.most_blocks", lambda survey, max_memory: survey.n_blocks // 2)
     outcome = made(scan_of(tmp_path / "d"), max_memory="2GB")
     assert outcome.status == "failed"
     assert "max_memory: expected at most 2GB, got a need of about" in outcome.why
@@ -336,20 +337,19 @@ PEAK = """
 import sys
 from pathlib import Path
 from bask_data.kinds import Scan
-from bask_data.stages import reconstruct as stage
+from bask_data.stages import fusion_memory, reconstruct as stage
 seen = []
-most_blocks = stage._most_blocks
-def noted(survey, params):
-    seen.append((survey.n_blocks, stage._resident_bytes()))
-    return most_blocks(survey, params)
-stage._most_blocks = noted
+def noted(survey, max_memory):
+    seen.append((survey.n_blocks, fusion_memory.resident_bytes()))
+    return fusion_memory.most_blocks(survey, max_memory)
+stage.most_blocks = noted
 params = stage.ReconstructParams(voxel_size=float(sys.argv[3]))
 stage.reconstruct(scan=Scan(Path(sys.argv[1])), params=params, out=Path(sys.argv[2]))
 from bask_data.core.tsdf import peak_bytes
 [(n_blocks, held)] = seen
 # Not `getrusage`: a process inherits the peak of the one that started it.
 peak = int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) * 1024
-print(peak, held + stage.WORKING_BYTES + peak_bytes(n_blocks))
+print(peak, held + fusion_memory.WORKING_BYTES + peak_bytes(n_blocks))
 """
 
 
