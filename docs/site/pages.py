@@ -5,6 +5,7 @@ A hook of mkdocs; nothing of what it writes is in the repository, so nothing can
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -127,62 +128,28 @@ def package_page(name: str) -> str:
 # Command line ---------------------------------------------------------------------------------------------------------
 
 
-def command_line() -> Any:
-    """The program, as a group of commands."""
-    import bask_data.cli
-
-    app: Any = bask_data.cli.app
-    return typer.main.get_command(getattr(app, "app", app))
-
-
-def commands(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Every command that can be called, depth first, in the order of `--help`."""
-    context = typer.Context(group)
+def commands(group: Any, context: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
+    """The words and the help of every command that can be called, depth first, in the order of `--help`."""
     for name in group.list_commands(context):
         command = group.get_command(context, name)
-        if command is None or command.hidden:
+        if command.hidden:
             continue
+        inner = typer.Context(command, info_name=name, parent=context)
         if hasattr(command, "list_commands"):
-            yield from commands(command, (*path, name))
+            yield from commands(command, inner, (*path, name))
         else:
-            yield (*path, name), command
+            yield (*path, name), command.get_help(inner)
 
 
 def command_line_page() -> str:
-    """Every command with its arguments and options, from the program itself."""
-    lines = ["# Command line", "", "Generated from the program: the same texts as `bask-data COMMAND --help`.", ""]
-    for path, command in commands(command_line()):
-        lines += command_section(path, command)
-    return "\n".join(lines) + "\n"
+    """The help of every command, from the program itself."""
+    from bask_data.cli.app import app
 
-
-def command_section(path: tuple[str, ...], command: Any) -> list[str]:
-    """One command: how it is called, what it does, its options as a table."""
-    context = typer.Context(command, info_name=" ".join(("bask-data", *path)))
-    usage = " ".join(["bask-data", *path, *command.collect_usage_pieces(context)])
-    lines = [f"## {' '.join(path)}", "", "```text", usage, "```", "", text_of(command.help or ""), ""]
-    panels: dict[str, list[str]] = {}
-    for parameter in command.params:
-        record = parameter.get_help_record(context)
-        if getattr(parameter, "hidden", False) or record is None:
-            continue
-        panel = getattr(parameter, "rich_help_panel", None) or "Options"
-        if parameter.param_type_name == "argument":
-            panel = "Arguments"
-        panels.setdefault(panel, []).append(f"| `{cell(record[0])}` | {text_of(cell(record[1]))} |")
-    for panel, rows in panels.items():
-        lines += [f"| {panel} | |", "|---|---|", *rows, ""]
-    return lines
-
-
-def cell(text: str) -> str:
-    """Text that may stand in a table."""
-    return " ".join(text.split()).replace("|", "\\|")
-
-
-def text_of(text: str) -> str:
-    """Help text as Markdown: what would be taken for a tag, emphasis or a link stands as it is."""
-    parts = text.replace("\b\n", "").split("`")
-    for i in range(0, len(parts), 2):
-        parts[i] = re.sub(r"([*_<\[\]])", r"\\\1", parts[i])
-    return "`".join(parts)
+    os.environ["COLUMNS"] = "92"  # what the page has room for
+    group: Any = typer.main.get_command(app)
+    context = typer.Context(group, info_name="bask-data")
+    lines = ["# Command line", "", "What each command's `--help` prints.", ""]
+    lines += ["```text", group.get_help(context).rstrip(), "```", ""]
+    for path, help_text in commands(group, context):
+        lines += [f"## {' '.join(path)}", "", "```text", help_text.rstrip(), "```", ""]
+    return "\n".join(lines)
