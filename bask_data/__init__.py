@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from bask_data import torch as torch
+    from bask_data.notebook.opened import open as open
     from bask_data.tracker import KeypointTracker as KeypointTracker
 
 __version__ = "0.1.0"
+__all__ = ["KeypointTracker", "__version__", "open", "torch"]
+
+# Everything imports this package, and what stands behind these names takes long to import.
+_LAZY = {"KeypointTracker": "bask_data.tracker", "open": "bask_data.notebook.opened", "torch": ""}
 
 
 def __getattr__(name: str) -> object:
-    # Everything imports this package, and only a robot's loop needs the filters behind this name.
-    if name == "KeypointTracker":
-        from bask_data.tracker import KeypointTracker
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name == "torch":
+        return import_module("bask_data.torch")
+    return getattr(import_module(_LAZY[name]), name)
 
-        return KeypointTracker
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

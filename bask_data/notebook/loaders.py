@@ -1,0 +1,130 @@
+"""Frames and matches as map-style PyTorch datasets. They cross to workers by path, and each opens its files itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset as TorchDataset
+
+from bask_data.errors import UsageError
+from bask_data.notebook.opened import OpenDataset
+from bask_data.notebook.recordings import RecordedFrame, RecordedFrames
+
+Sample = dict[str, Any]
+
+
+class _Opened(TorchDataset[Sample]):
+    """What both share: the dataset, and its scans opened once in each process."""
+
+    def __init__(self, dataset: OpenDataset | Path | str, scans: Sequence[str]) -> None:
+        self.root = dataset.root if isinstance(dataset, OpenDataset) else Path(dataset)
+        known = tuple(OpenDataset(self.root).scans)
+        unknown = [name for name in scans if name not in known]
+        if unknown:
+            expected = f"some of {', '.join(known) or 'none'}"
+            raise UsageError(self.root, "scans", expected=expected, got=", ".join(unknown))
+        self.scans = tuple(scans) or known
+        self._recordings: dict[tuple[str, str], RecordedFrames] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_recordings": {}}
+
+    def _frame(self, scan: str, camera: str, i_frame: int) -> RecordedFrame:
+        if (scan, camera) not in self._recordings:
+            self._recordings[scan, camera] = OpenDataset(self.root).scans[scan].camera(camera)
+        return self._recordings[scan, camera][i_frame]
+
+
+class FrameLoader(_Opened):
+    """Every frame of every camera of the scans, as tensors.
+
+    A sample has `rgb` (3, h, w) uint8, `depth` (h, w) float32 metres, `K` (3, 3) and `world_from_camera` (4, 4)
+    float64, `scan`, `camera`, `frame`, and with `masks` `mask` (h, w) uint8.
+    """
+
+    def __init__(self, dataset: OpenDataset | Path | str, scans: Sequence[str] = (), masks: bool = False) -> None:
+        """List the frames.
+
+        Args:
+            scans: names; by default all.
+            masks: give masks, too.
+
+        Raises:
+            UsageError: there is no such scan.
+        """
+        super().__init__(dataset, scans)
+        self.masks = masks
+        opened = OpenDataset(self.root).scans
+        self._places = [
+            (scan, camera, i_frame)
+            for scan in self.scans
+            for camera in opened[scan].cameras
+            for i_frame in range(len(opened[scan].camera(camera)))
+        ]
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, i: int) -> Sample:
+        scan, camera, i_frame = self._places[i]
+        frame = self._frame(scan, camera, i_frame)
+        sample = {**_tensors(frame), "scan": scan, "camera": camera, "frame": i_frame}
+        return {**sample, "mask": torch.from_numpy(frame.mask)} if self.masks else sample
+
+
+class MatchLoader(_Opened):
+    """Pairs of frames with `n` matches each, as tensors.
+
+    A sample has for both frames, `_a` and `_b`, what one of `FrameLoader` has without masks, `uv_a` and `uv_b` (n, 2)
+    float32 pixels, and `instance` (n,) of the object that each match is on. Which matches depends on the seed and the
+    sample alone, not on workers or on the order of reading.
+    """
+
+    def __init__(
+        self, dataset: OpenDataset | Path | str, scans: Sequence[str] = (), n: int = 256, seed: int = 0
+    ) -> None:
+        """List the pairs that have matches.
+
+        Args:
+            scans: names; by default all.
+            n: matches of each pair, drawn with replacement where it has fewer.
+
+        Raises:
+            UsageError: there is no such scan, or it has no matches yet.
+        """
+        super().__init__(dataset, scans)
+        self.n, self.seed = n, seed
+        self._pairs: list[tuple[str, int]] = []
+        for scan in self.scans:
+            self._pairs += [(scan, int(pair)) for pair in np.unique(OpenDataset(self.root).matches(scan).pair)]
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+    def __getitem__(self, i: int) -> Sample:
+        scan, pair = self._pairs[i]
+        found = OpenDataset(self.root).matches(scan, [pair])
+        rng = np.random.default_rng((self.seed, i % len(self)))
+        chosen = rng.choice(len(found), self.n, replace=len(found) < self.n)
+        sample: Sample = {"scan": scan, "pair": pair, "instance": torch.from_numpy(found.instance[chosen])}
+        for side, uv, cameras, frames in (
+            ("a", found.uv_a, found.camera_a, found.frame_a),
+            ("b", found.uv_b, found.camera_b, found.frame_b),
+        ):
+            frame = self._frame(scan, str(cameras[pair]), int(frames[pair]))
+            sample |= {f"{name}_{side}": value for name, value in _tensors(frame).items()}
+            sample[f"uv_{side}"] = torch.from_numpy(uv[chosen])
+        return sample
+
+
+def _tensors(frame: RecordedFrame) -> Sample:
+    return {
+        "rgb": torch.from_numpy(frame.rgb.transpose(2, 0, 1).copy()),
+        "depth": torch.from_numpy(frame.depth),
+        "K": torch.from_numpy(frame.K.copy()),
+        "world_from_camera": torch.from_numpy(frame.world_from_camera.copy()),
+    }

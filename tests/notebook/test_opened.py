@@ -1,0 +1,192 @@
+from __future__ import annotations
+
+import base64
+import pickle
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from torch.utils.data import DataLoader
+
+import bask_data as bask
+from bask_data.dataset import Dataset
+from bask_data.errors import BadData, UsageError
+from bask_data.kinds import Demonstration, KeypointTrack, Scan
+from bask_data.notebook.opened import OpenDataset
+from tests.datasets import publish_artifact, publish_recording
+from tests.scenes import intrinsics, orbit, tabletop
+from tests.tiny import HEIGHT, PARAMS, WIDTH
+
+N_FRAMES = 8
+
+
+def recorded(dataset: Dataset, item: str, kind: type[Scan] | type[Demonstration]) -> None:
+    scene, K, poses = tabletop(2, seed=0, spread=0.12), intrinsics(HEIGHT, WIDTH), orbit(N_FRAMES, 0.5, n_turns=0.6)
+    views = [scene.render(K, one, HEIGHT, WIDTH) for one in poses]
+    publish_recording(
+        dataset,
+        item,
+        rgb=[view.rgb for view in views],
+        depth=[view.depth for view in views],
+        K=K,
+        world_from_cameras=poses,
+        kind=kind,
+    )
+
+
+@pytest.fixture(scope="module")
+def ds(tmp_path_factory: pytest.TempPathFactory) -> OpenDataset:
+    """A scan with everything up to its matches, which `run` made, and a demonstration with a track."""
+    dataset = Dataset.create(tmp_path_factory.mktemp("notebook") / "d", name="a <table>")
+    recorded(dataset, "table1", Scan)
+    recorded(dataset, "demo0", Demonstration)
+
+    def fill(out: Path) -> None:
+        with KeypointTrack.writer(out, names=["tip", "rim"], filter="particle", cameras=["wrist"]) as writer:
+            for i_frame in range(N_FRAMES):
+                writer.append(
+                    mean=np.full((2, 3), i_frame / 10),
+                    covariance=np.zeros((2, 3, 3)),
+                    mode=np.zeros((2, 3)),
+                    n_eff=np.ones(2),
+                    log_evidence=np.zeros(2),
+                    cameras={"wrist": (np.ones((2, 2)), np.ones(2, dtype=bool))},
+                )
+
+    publish_artifact(dataset, KeypointTrack, "demo0", fill)
+    opened = bask.open(dataset.root)
+    for stage in ("reconstruct", "objects", "masks", "correspondences"):
+        [outcome] = opened.run(stage, only="table1", **PARAMS.get(stage, {}))
+        assert outcome.status == "made"
+    return opened
+
+
+def test_importing_the_package_imports_nothing_that_takes_long() -> None:
+    heavy = ("numpy", "torch", "zarr", "pydantic", "cv2", "bask_data.tracker", "bask_data.notebook")
+    code = f"import bask_data, sys; dir(bask_data); sys.exit([name for name in {heavy} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode == 1 and done.stderr.strip() == "[]") or done.returncode == 0, done.stderr
+    assert {*bask.__all__} <= {*dir(bask)} and "open" in bask.__all__
+    assert all(getattr(bask, name) for name in bask.__all__)
+
+
+def test_a_frame_has_its_arrays_in_metres(ds: OpenDataset) -> None:
+    frames = ds.scans["table1"]
+    assert len(frames) == N_FRAMES == len(list(frames)) and frames.cameras == ["wrist"]
+    frame, scan = frames[-1], Scan(ds.root / "scan" / "table1").camera("wrist")
+    assert (frame.index, frame.camera, frame.rgb.shape) == (N_FRAMES - 1, "wrist", (HEIGHT, WIDTH, 3))
+    np.testing.assert_array_equal(frame.depth, scan.depth(N_FRAMES - 1))
+    assert frame.depth.dtype == np.float32 and 0.2 < np.median(frame.depth) < 2
+    np.testing.assert_array_equal(frame.world_from_camera, scan.world_from_cameras[-1])
+    np.testing.assert_array_equal(frame.K, scan.K)
+    assert frame.time == scan.time[-1]
+    assert frame.mask.shape == (HEIGHT, WIDTH) and {*np.unique(frame.mask)} == {0, 1, 2}
+    assert [one.index for one in frames[2:6:2]] == [2, 4]
+    assert len(ds.demonstrations["demo0"]) == N_FRAMES and ds.demonstrations["demo0"].robot is None
+
+
+def test_results_are_arrays(ds: OpenDataset) -> None:
+    objects = ds.objects("table1")
+    assert objects.id.tolist() == [1, 2] and objects.centroid.shape == (2, 3) and (objects.extents > 0).all()
+    assert {*np.unique(objects.vertex_instance)} == {0, 1, 2}
+    matches = ds.matches("table1")
+    assert matches.uv_a.shape == matches.uv_b.shape == (len(matches), 2) and len(matches) > 50
+    frames, i = ds.scans["table1"], len(matches) // 2
+    for uv, by_pair in ((matches.uv_a, matches.frame_a), (matches.uv_b, matches.frame_b)):
+        u, v = np.rint(uv[i]).astype(int)
+        assert frames[int(by_pair[matches.pair[i]])].mask[v, u] == matches.instance[i]
+    some = ds.matches("table1", [int(matches.pair[-1])])
+    assert 0 < len(some) < len(matches) and {*some.pair.tolist()} == {int(matches.pair[-1])}
+    track = ds.keypoints("demo0")
+    assert track.names == ("tip", "rim") and track.mean.shape == (N_FRAMES, 2, 3)
+    np.testing.assert_allclose(track.mean[3], 0.3)
+    assert track.observed["wrist"].all() and track.pixel["wrist"].shape == (N_FRAMES, 2, 2)
+
+
+def test_run_makes_what_is_stale_and_status_says_so(ds: OpenDataset) -> None:
+    [outcome] = ds.run("reconstruct", only=["table1"], **PARAMS["reconstruct"])
+    assert outcome.status == "up to date"
+    states = {label: state for label, state, _ in ds.status()}
+    assert states["reconstruct table1"] == "stale" and states["train"] == "missing"  # Its voxels were asked for.
+    assert "reconstruct table1" in repr(ds.status()) and "<td>reconstruct table1</td>" in ds.status()._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("asked", "error", "message"),
+    [
+        (lambda ds: ds.scans["tabel1"], KeyError, "scan: expected one of table1, got tabel1"),
+        (lambda ds: ds.scans["table1"].camera("head"), UsageError, "camera: expected one of wrist, got head"),
+        (lambda ds: ds.scans["table1"][8], IndexError, "table1: frame: expected one of 0 to 7, got 8"),
+        (lambda ds: ds.demonstrations["demo0"][0].mask, UsageError, "mask: expected a frame of a scan, got the demon"),
+        (lambda ds: ds.objects("demo0"), UsageError, "scene: expected one of table1, got demo0"),
+        (lambda ds: ds.keypoints("demo0", "x"), UsageError, "variant: expected one of main, got x"),
+        (lambda ds: ds.run("trane"), UsageError, "stage: expected one of reconstruct, .*, got trane"),
+        (lambda ds: ds.run("objects", only="x"), UsageError, "expected one of table1, got x"),
+        (lambda ds: ds.run("encode"), UsageError, "encode demo0: expected its inputs, got "),
+        (lambda ds: bask.open(ds.root / "scan"), BadData, "expected a dataset"),
+        (lambda ds: bask.torch.Frames(ds, ["x"]), UsageError, "scans: expected some of table1, got x"),
+    ],
+)
+def test_what_is_not_there_is_said_with_what_is(ds: OpenDataset, asked, error, message: str) -> None:
+    with pytest.raises(error, match=message):
+        asked(ds)
+
+
+def test_what_has_not_been_made_is_said_with_how_to(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    recorded(dataset, "table1", Scan)
+    with pytest.raises(UsageError, match=r'expected masks, got none.  fix: ds.run\("masks", only="table1"\)'):
+        _ = bask.open(dataset.root).scans["table1"][0].mask
+
+
+def test_everything_says_what_is_inside(ds: OpenDataset) -> None:
+    assert repr(ds) == f"<dataset a <table> at {ds.root}: 1 scans, 1 demonstrations>"
+    assert repr(ds.scans) == "<1 scans: table1>"
+    assert repr(ds.scans["table1"]) == f"<scan table1: 8 frames of camera wrist, {WIDTH}x{HEIGHT}>"
+    assert repr(ds.scans["table1"][0]) == f"<frame 0 of camera wrist: {WIDTH}x{HEIGHT}, 0.00 s>"
+    assert repr(ds.keypoints("demo0")) == "<2 keypoints over 8 frames, particle filter: tip, rim>"
+    assert repr(ds.objects("table1")).startswith("<2 objects of ")
+    assert re.fullmatch(r"<\d+ matches in 6 pairs of frames>", repr(ds.matches("table1")))
+    html = ds._repr_html_()
+    assert "&lt;table&gt;" in html and "a <table>" not in html
+    encoded = re.search(r'src="data:image/jpeg;base64,([^"]+)"', ds.scans["table1"]._repr_html_())
+    picture = cv2.imdecode(np.frombuffer(base64.b64decode(encoded[1]), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    away, swapped = (
+        np.abs(one.astype(int) - ds.scans["table1"][0].rgb).mean() for one in (picture, picture[..., ::-1])
+    )
+    assert away < 10 and away < 0.7 * swapped  # JPEG does not keep noise.
+
+
+def test_frames_come_as_tensors_and_cross_to_a_worker(ds: OpenDataset) -> None:
+    frames = bask.torch.Frames(ds, masks=True)
+    assert len(frames) == N_FRAMES
+    frame = ds.scans["table1"][3]
+    again = pickle.loads(pickle.dumps(frames))  # noqa: S301
+    for one in (frames[3], again[3]):
+        np.testing.assert_array_equal(one["rgb"].numpy().transpose(1, 2, 0), frame.rgb)
+        np.testing.assert_array_equal(one["depth"].numpy(), frame.depth)
+        np.testing.assert_array_equal(one["mask"].numpy(), frame.mask)
+    [batch, *_] = DataLoader(frames, batch_size=4, num_workers=1, multiprocessing_context="spawn")
+    assert batch["rgb"].shape == (4, 3, HEIGHT, WIDTH) and batch["scan"] == ["table1"] * 4
+
+
+def test_matches_are_the_same_for_the_same_seed_wherever_they_are_read(ds: OpenDataset) -> None:
+    matches = bask.torch.Matches(ds, n=30, seed=3)
+    there, first = ds.matches("table1"), matches[0]
+    pair = there.pair == first["pair"]
+    known = {(*a, *b) for a, b in zip(there.uv_a[pair].tolist(), there.uv_b[pair].tolist(), strict=True)}
+    drawn = {(*a, *b) for a, b in zip(first["uv_a"].tolist(), first["uv_b"].tolist(), strict=True)}
+    assert drawn <= known and first["uv_a"].shape == (30, 2)
+    again = pickle.loads(pickle.dumps(matches))[0]  # noqa: S301
+    np.testing.assert_array_equal(again["uv_a"], first["uv_a"])
+    other = bask.torch.Matches(ds, n=30, seed=4)[0]
+    assert not np.array_equal(other["uv_a"], first["uv_a"])
+    i_frame = int(there.frame_b[first["pair"]])
+    np.testing.assert_array_equal(
+        first["rgb_b"].numpy().transpose(1, 2, 0), ds.scans["table1"].camera(there.camera_b[first["pair"]])[i_frame].rgb
+    )
+    assert bask.torch.Matches(pickle.loads(pickle.dumps(ds)), n=2)[0]["instance"].shape == (2,)  # noqa: S301
