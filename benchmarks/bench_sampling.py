@@ -13,8 +13,8 @@ import numpy as np
 
 from bask_data.core.geometry import invert_rigid
 from bask_data.nn.augment import (
+    AugmentedView,
     AugmentSettings,
-    View,
     covered,
     layer,
     moved,
@@ -85,7 +85,7 @@ def plain_image(
     labels = warped_labels(instance, affine, SIZE)
     shown = labels > 0 if rng.random() < AUGMENT.background else covered(instance.shape, affine, SIZE)
     ground = () if shown is None else (random_ground(SIZE, rgb, instance, rng),)
-    return drawn(View(SIZE, (*ground, layer(rgb, affine, shown)), random_look(rgb, AUGMENT, rng))), labels
+    return drawn(AugmentedView(SIZE, (*ground, layer(rgb, affine, shown)), random_look(rgb, AUGMENT, rng))), labels
 
 
 def plain_batch(source: Scene, step: int, n_attempts: int) -> list[tuple[int, int, bool]]:

@@ -3,8 +3,8 @@
 To add a format, touch two files:
 
 1. `formats/<name>.py`, new, with a model of its options, derived from `Params`, whose descriptions are the help of
-   `bask-data ingest <name>`, and with `read(source: Path, options) -> Recording`. It returns the recording in our units
-   and frames, states in `assumptions` what the files do not, and reads a frame only when it is asked for.
+   `bask-data ingest <name>`, and with `read(source: Path, options) -> SourceRecording`. It returns the recording in our
+   units and frames, states in `assumptions` what the files do not, and reads a frame only when it is asked for.
 2. `formats/__init__.py`: the import of the model, and a line in `FORMATS`.
 
 The command line imports the models, and a reader only when it is used: NumPy, OpenCV and what imports them must not be
@@ -34,14 +34,14 @@ class Format:
     help: str
     options: type[Params]
 
-    def read(self, source: Path, options: Params) -> bask_data.formats.recording.Recording:
+    def read(self, source: Path, options: Params) -> bask_data.formats.recording.SourceRecording:
         """The recording in the folder `source`.
 
         Raises:
             BadData: a file is missing, broken, or does not hold what the options say.
             UsageError: the options name something that does not exist.
         """
-        recording: bask_data.formats.recording.Recording = import_module(f"bask_data.formats.{self.name}").read(
+        recording: bask_data.formats.recording.SourceRecording = import_module(f"bask_data.formats.{self.name}").read(
             source, options
         )
         return recording

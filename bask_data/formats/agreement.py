@@ -15,7 +15,7 @@ from bask_data.formats.recording import CameraRecording
 
 N_PAIRS = 4
 MIN_POINTS = 200
-NEAR = (0.005, 0.02)
+AGREES_WITHIN = (0.005, 0.02)
 """Depths count as equal within 5 mm and 2 % of the depth: sensor noise and calibration, not geometry."""
 
 
@@ -70,5 +70,5 @@ def _share(
         measured = depths[b][v, u]
         met = measured > 0
         n_met += int(met.sum())
-        n_near += int((np.abs(z[inside] - measured)[met] < NEAR[0] + NEAR[1] * measured[met]).sum())
+        n_near += int((np.abs(z[inside] - measured)[met] < AGREES_WITHIN[0] + AGREES_WITHIN[1] * measured[met]).sum())
     return n_near / n_met if n_met > MIN_POINTS else 0.0

@@ -22,7 +22,7 @@ from bask_data.formats.agreement import agreement
 from bask_data.formats.camera import ImageFiles, camera_recording, parse_intrinsics, parse_pose, read_poses
 from bask_data.formats.files import frame_number, matching, member, numbers, paired, read_bytes, source_folder
 from bask_data.formats.options import ApcOptions
-from bask_data.formats.recording import ObjectPose, Recording
+from bask_data.formats.recording import ObjectPose, SourceRecording
 
 DEPTH_SCALE = 1e-4
 INFO_FILE = "cam.info.txt"
@@ -32,7 +32,7 @@ OBJECT_NAMES = {48: "chenille stems", 114: "bunny book", 132: "tissue box", 144:
 """Labels are six times the object's place in the challenge's alphabetical list; these four were looked at."""
 
 
-def read(source: Path, options: ApcOptions) -> Recording:
+def read(source: Path, options: ApcOptions) -> SourceRecording:
     """The recording in `source`, in the frame of its shelf bin where the files state it."""
     source_folder(source)
     info = source / INFO_FILE
@@ -56,7 +56,7 @@ def read(source: Path, options: ApcOptions) -> Recording:
     poses, pose_files = _object_poses(source, rig, options.world)
     time = np.array([frame_number(name) for name in names], dtype=np.float64) / options.fps
     camera = camera_recording(options.camera, images, rig.K, "", DEPTH_SCALE, world_from_cameras, time)
-    return Recording(
+    return SourceRecording(
         cameras=(camera,),
         robot=None,
         label_names=_label_names(images),

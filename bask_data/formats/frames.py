@@ -23,10 +23,10 @@ from bask_data.formats.camera import (
 )
 from bask_data.formats.files import frame_number, matching, member, numbers, paired, read_lines, source_folder
 from bask_data.formats.options import FramesOptions
-from bask_data.formats.recording import Recording
+from bask_data.formats.recording import SourceRecording
 
 
-def read(source: Path, options: FramesOptions) -> Recording:
+def read(source: Path, options: FramesOptions) -> SourceRecording:
     """The recording in `source`; see `FramesOptions` for what the files are taken to mean."""
     source_folder(source)
     groups = {"color": matching(source, options.color, "color"), "depth": matching(source, options.depth, "depth")}
@@ -51,7 +51,7 @@ def read(source: Path, options: FramesOptions) -> Recording:
         to_world_from_camera(given, options.pose_is, options.axes),
         clock.time,
     )
-    return Recording(
+    return SourceRecording(
         cameras=(camera,),
         robot=None,
         label_names={},

@@ -56,7 +56,7 @@ class ObjectPose:
 
 
 @dataclass(frozen=True)
-class Recording:
+class SourceRecording:
     """A scan or a demonstration as read.
 
     `assumptions` says in words what the files do not; the caller prints and records it. `files` are all the source

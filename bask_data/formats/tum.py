@@ -13,7 +13,7 @@ from bask_data.formats.agreement import agreement
 from bask_data.formats.camera import ImageFiles, camera_recording, parse_intrinsics, parse_pose
 from bask_data.formats.files import member, numbers, read_lines, source_folder
 from bask_data.formats.options import TumOptions
-from bask_data.formats.recording import Recording
+from bask_data.formats.recording import SourceRecording
 
 INTRINSICS = {
     "freiburg1": "517.3,516.5,318.6,255.3",
@@ -23,7 +23,7 @@ INTRINSICS = {
 """The benchmark's published calibration of the colour camera of each of its three rigs."""
 
 
-def read(source: Path, options: TumOptions) -> Recording:
+def read(source: Path, options: TumOptions) -> SourceRecording:
     """The frames of `source` whose colour, depth and pose lie close enough in time."""
     source_folder(source)
     color_time, color_files = _file_list(source, "rgb.txt")
@@ -55,7 +55,7 @@ def read(source: Path, options: TumOptions) -> Recording:
         world_from_cameras,
         color_time[used],
     )
-    return Recording(
+    return SourceRecording(
         cameras=(camera,),
         robot=None,
         label_names={},

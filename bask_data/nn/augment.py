@@ -1,8 +1,8 @@
 """Random changes to training images that their matches follow exactly.
 
 All geometry of an image, resizing included, is one affine transform `out_from_in` of pixel coordinates: the image is
-warped once and match coordinates are multiplied by the same matrix. What is drawn at random is a `View`, a description
-of the augmented image; `nn.rendering` makes the pixels of it, with OpenCV or on a GPU.
+warped once and match coordinates are multiplied by the same matrix. What is drawn at random is an `AugmentedView`, a
+description of the augmented image; `nn.rendering` makes the pixels of it, with OpenCV or on a GPU.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Look:
 
 
 @dataclass(frozen=True)
-class View:
+class AugmentedView:
     """An augmented image before its pixels are made: layers, the lowest first and everywhere, and a look."""
 
     size: tuple[int, int]

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-WIDTH = 128
+HEAD_WIDTH = 128
 """Channels that features are gathered in."""
 
 
@@ -24,12 +24,12 @@ class DescriptorHead(nn.Module):
         super().__init__()
         self.n_channels = n_channels
         self.linear = nn.Conv2d(sum(n_channels), n_outputs, 1, bias=False)
-        self.gather = nn.Conv2d(sum(n_channels), WIDTH, 1)
-        self.mix = nn.Conv2d(WIDTH, WIDTH, 3, padding=1)
-        self.out = nn.Conv2d(WIDTH, n_outputs, 1)
+        self.gather = nn.Conv2d(sum(n_channels), HEAD_WIDTH, 1)
+        self.mix = nn.Conv2d(HEAD_WIDTH, HEAD_WIDTH, 3, padding=1)
+        self.out = nn.Conv2d(HEAD_WIDTH, n_outputs, 1)
         assert self.out.bias is not None
         nn.init.normal_(self.linear.weight, std=sum(n_channels) ** -0.5)
-        nn.init.normal_(self.out.weight, std=WIDTH**-0.5)
+        nn.init.normal_(self.out.weight, std=HEAD_WIDTH**-0.5)
         nn.init.zeros_(self.out.bias)
 
     def forward(self, features: Float[Tensor, "b c h8 w8"]) -> Float[Tensor, "b d h8 w8"]:

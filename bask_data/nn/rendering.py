@@ -17,10 +17,10 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 from torch import Tensor
 
-from bask_data.nn.augment import GRAIN, Layer, View, grain, grain_of
+from bask_data.nn.augment import GRAIN, AugmentedView, Layer, grain, grain_of
 
 
-def drawn(view: View) -> UInt8[ndarray, "h w 3"]:
+def drawn(view: AugmentedView) -> UInt8[ndarray, "h w 3"]:
     """The image of a view, by OpenCV."""
     height, width = view.size
     out = np.empty((height, width, 3), np.uint8)
@@ -43,7 +43,7 @@ def drawn(view: View) -> UInt8[ndarray, "h w 3"]:
     return out
 
 
-def drawn_on(views: Sequence[View], device: torch.device) -> UInt8[Tensor, "b h w 3"]:
+def drawn_on(views: Sequence[AugmentedView], device: torch.device) -> UInt8[Tensor, "b h w 3"]:
     """The images of views of one size, made on a device."""
     height, width = views[0].size
     out = torch.zeros((len(views), 3, height, width), device=device)

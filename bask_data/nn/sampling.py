@@ -19,9 +19,9 @@ from torch import Tensor
 from bask_data.core.geometry import in_image
 from bask_data.nn import rendering
 from bask_data.nn.augment import (
+    AugmentedView,
     AugmentSettings,
     Layer,
-    View,
     covered,
     layer,
     moved,
@@ -104,6 +104,15 @@ class SampleSettings:
 
 
 @dataclass(frozen=True)
+class Examples:
+    """What a training learns from: pairs, and what becomes of them in a batch."""
+
+    source: PairSource
+    sample: SampleSettings
+    augment: AugmentSettings
+
+
+@dataclass(frozen=True)
 class Batch:
     """Input of one step, arrays or tensors. Images are of the network's size, coordinates in its pixels."""
 
@@ -124,8 +133,8 @@ class Batch:
 class Plan:
     """A batch before its images are made: what each of them shows, and the rest of `Batch` as it is."""
 
-    views_a: tuple[View, ...]
-    views_b: tuple[View, ...]
+    views_a: tuple[AugmentedView, ...]
+    views_b: tuple[AugmentedView, ...]
     uv_a: Float[ndarray, "b m 2"]
     uv_b: Float[ndarray, "b m 2"]
     non_matches_b: Float[ndarray, "b m n 2"]
@@ -174,9 +183,18 @@ def rendered(plan: Plan, device: torch.device) -> Batch:
     return Batch(*rgb.chunk(2), *(rendering.to_device(array, device) for array in arrays))
 
 
+@dataclass(frozen=True)
+class _Subject:
+    """What an example is of: an instance of a pair of images, and whether both are mirrored."""
+
+    i_pair: int
+    instance: int
+    flipped: bool
+
+
 @dataclass
 class _Side:
-    """One image of a pair on its way to a `View`."""
+    """One image of a pair on its way to an `AugmentedView`."""
 
     rgb: UInt8[ndarray, "h w 3"]
     instance: UInt8[ndarray, "h w"]
@@ -200,7 +218,7 @@ class _Side:
 
 def _example(
     source: PairSource, sample: SampleSettings, augment: AugmentSettings, rng: Generator
-) -> tuple[View | ndarray, ...]:
+) -> tuple[AugmentedView | ndarray, ...]:
     i_pair = int(rng.integers(source.n_pairs))
     pair = source.pair(i_pair)
     # Instances are drawn evenly, not by their number of matches: small objects are not to be forgotten.
@@ -223,7 +241,7 @@ def _example(
         # Matches at an object's very edge may all round to pixels beyond it. They are right all the same.
         visible = of_chosen & in_image(a.uv, *sample.size) & in_image(b.uv, *sample.size)
     elif rng.random() < augment.composition:
-        visible = _composed(a, b, visible, chosen, source, i_pair, flipped, augment, rng)
+        visible = _composed(a, b, visible, source, _Subject(i_pair, chosen, flipped), augment, rng)
     candidates = np.flatnonzero(visible)
     taken = rng.choice(candidates, sample.n_matches, replace=len(candidates) < sample.n_matches)
     others = non_matches(b.labels == chosen, b.uv[taken], sample, rng)
@@ -265,10 +283,8 @@ def _composed(
     a: _Side,
     b: _Side,
     visible: Bool[ndarray, "m"],
-    chosen: int,
     source: PairSource,
-    i_pair: int,
-    flipped: bool,
+    subject: _Subject,
     augment: AugmentSettings,
     rng: Generator,
 ) -> Bool[ndarray, "m"]:
@@ -276,8 +292,8 @@ def _composed(
 
     It is pasted over and not behind: what the sampled object is to learn is to be half hidden.
     """
-    several = source.n_instances[i_pair] > 1
-    same = source.scans == source.scans[i_pair]
+    several = source.n_instances[subject.i_pair] > 1
+    same = source.scans == source.scans[subject.i_pair]
     # A non-match on the same object would be wrong. Within a scan, another number is another object. The objects of
     # another scan may well be the same ones again, so only scans of one object, each scan another, take from others.
     partners = np.flatnonzero(same if several else ~same)
@@ -285,17 +301,17 @@ def _composed(
         return visible
     other = source.pair(int(rng.choice(partners)))
     candidates = np.unique(other.instance)
-    candidates = candidates[candidates != chosen] if several else candidates
+    candidates = candidates[candidates != subject.instance] if several else candidates
     if len(candidates) == 0:
         return visible
     instance = int(rng.choice(candidates))
     for side, rgb, mask in ((a, other.rgb_a, other.instance_a), (b, other.rgb_b, other.instance_b)):
-        pasted = _pasted(side, rgb, mask == instance, flipped, augment, rng)
+        pasted = _pasted(side, rgb, mask == instance, subject.flipped, augment, rng)
         if pasted is None:
             continue
         assert pasted.shown is not None
         labels = np.where(pasted.shown, np.uint8(0), side.labels)
-        left = visible & replace(side, labels=labels).shows(chosen)
+        left = visible & replace(side, labels=labels).shows(subject.instance)
         if left.sum() >= LEAST_SHOWN * visible.sum():
             side.labels, side.pasted, visible = labels, pasted, left
     return visible
@@ -320,14 +336,14 @@ def _pasted(
     return layer(rgb, affine, shown) if shown.any() else None
 
 
-def _view(side: _Side, augment: AugmentSettings, rng: Generator) -> View:
+def _view(side: _Side, augment: AugmentSettings, rng: Generator) -> AugmentedView:
     """The view of an image: what it does not cover, or all but the objects, is painted over."""
     size = side.labels.shape
     shown = side.labels > 0 if rng.random() < augment.background else side.shown
     ground = () if shown is None else (random_ground(size, side.rgb, side.instance, rng),)
     pasted = () if side.pasted is None else (side.pasted,)
     layers = (*ground, layer(side.rgb, side.out_from_in, shown), *pasted)
-    return View(size, layers, random_look(side.rgb, augment, rng))
+    return AugmentedView(size, layers, random_look(side.rgb, augment, rng))
 
 
 def non_matches(

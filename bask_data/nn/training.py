@@ -14,12 +14,11 @@ import torch
 from torch import Tensor, nn
 
 from bask_data.nn import loss as losses
-from bask_data.nn.augment import AugmentSettings
 from bask_data.nn.loading import Waited, ahead
 from bask_data.nn.network import DescriptorNetwork
 from bask_data.nn.processes import ALONE, Group
 from bask_data.nn.resnet import sampled
-from bask_data.nn.sampling import Batch, PairSource, Plan, SampleSettings, batch_of_step, plan_of_step, rendered
+from bask_data.nn.sampling import Batch, Examples, Plan, SampleSettings, batch_of_step, plan_of_step, rendered
 from bask_data.nn.state import CurveRow, Progress, copied, load_state, save_state
 
 MEDIAN = "validation_median_error_px"
@@ -89,9 +88,7 @@ class Trained:
 
 def train_network(
     network: DescriptorNetwork,
-    source: PairSource,
-    sample: SampleSettings,
-    augment: AugmentSettings,
+    examples: Examples,
     settings: TrainingSettings,
     *,
     validate: Validate | None = None,
@@ -117,13 +114,14 @@ def train_network(
         FloatingPointError: the loss is no number any more.
         TooManyProcesses: a batch holds fewer pairs.
     """
-    run = _Run(network, sample, settings, group, state_folder)
+    run = _Run(network, examples.sample, settings, group, state_folder)
 
     # Images for a GPU are made there, out of a plan: a CPU would be too slow for it.
     made_of = plan_of_step if network.device.type == "cuda" else batch_of_step
 
     def make(step: int) -> list[Batch | Plan]:
-        return [made_of(source, settings.seed, step, sample, augment, examples) for examples in run.parts]
+        source, sample, augment = examples.source, examples.sample, examples.augment
+        return [made_of(source, settings.seed, step, sample, augment, part) for part in run.parts]
 
     numbers = steps(range(run.progress.step, run.last_step))
     with closing(ahead(make, numbers, settings.steps, run.clock.waited)) as made:

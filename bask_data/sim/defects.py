@@ -9,13 +9,13 @@ from numpy import ndarray
 
 from bask_data.core.geometry import pixel_grid, unproject
 from bask_data.sim.options import SimOptions
-from bask_data.sim.rendering import View
+from bask_data.sim.rendering import RenderedView
 
 DEPTH_SCALE = 1e-4
 """Metres per unit of stored depth."""
 FLOOR = 0.001
 """Metres of noise at no distance at all, where there is any noise."""
-EDGE = 0.02
+DEPTH_EDGE = 0.02
 """Metres between neighbouring pixels that make a depth edge."""
 POSE_NOISE_M, POSE_NOISE_DEG = 0.002, 0.2
 
@@ -27,7 +27,7 @@ def stored(depth: Float32[ndarray, "h w"]) -> UInt16[ndarray, "h w"]:
 
 
 def measured(
-    view: View, K: Float[ndarray, "3 3"], options: SimOptions, rng: np.random.Generator
+    view: RenderedView, K: Float[ndarray, "3 3"], options: SimOptions, rng: np.random.Generator
 ) -> Float32[ndarray, "h w"]:
     """What the camera's sensor makes of a view; 0 where it measures nothing."""
     depth = view.depth
@@ -49,7 +49,7 @@ def depth_edges(
     kernel = np.ones((3, 3), dtype=np.uint8)
     near = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), kernel)
     far = cv2.dilate(depth, kernel)
-    return (depth > 0) & (far - near > EDGE), near, far
+    return (depth > 0) & (far - near > DEPTH_EDGE), near, far
 
 
 def with_flying_pixels(
@@ -63,7 +63,7 @@ def with_flying_pixels(
     return np.where(flies, between, depth).astype(np.float32)
 
 
-def holes(view: View, K: Float[ndarray, "3 3"], share: float, rng: np.random.Generator) -> Bool[ndarray, "h w"]:
+def holes(view: RenderedView, K: Float[ndarray, "3 3"], share: float, rng: np.random.Generator) -> Bool[ndarray, "h w"]:
     """Patches without depth, `share` of what is there: rather on grazed surfaces, and most on glass."""
     height, width = view.depth.shape
     cells = rng.random((height // 12 + 2, width // 12 + 2)).astype(np.float32)

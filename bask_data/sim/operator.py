@@ -11,7 +11,7 @@ from bask_data.core.geometry import invert_rigid, rotation_angle
 from bask_data.sim import gripper
 from bask_data.sim.engine import import_mujoco
 from bask_data.sim.scan import free_joint, quat_wxyz
-from bask_data.sim.take import Robot, Take
+from bask_data.sim.take import RobotMotion, Take
 from bask_data.sim.world import STEP, Layout, World
 
 CONTROL_RATE = 20.0
@@ -109,7 +109,7 @@ class Operator:
     def take(self, layout: Layout, touching: list[tuple[int, int]]) -> Take:
         """What happened, the last frame without a command."""
         self._keep_frame(self.target, self.width)
-        robot = Robot(np.stack(self._grippers), np.array(self._widths), np.stack(self._actions), ACTION_NAMES)
+        robot = RobotMotion(np.stack(self._grippers), np.array(self._widths), np.stack(self._actions), ACTION_NAMES)
         return Take(
             layout=layout,
             qpos=np.stack(self._qpos),

@@ -17,7 +17,7 @@ OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True)
-class View:
+class RenderedView:
     """What one camera sees, exactly.
 
     Attributes:
@@ -80,7 +80,7 @@ class Renderer:
         """Exact intrinsics of a camera at the size it is drawn."""
         return intrinsics(float(self._world.model.camera(camera).fovy[0]), *self._world.options.size(camera))
 
-    def view(self, camera: str) -> View:
+    def view(self, camera: str) -> RenderedView:
         """What a camera sees of the world as it is."""
         mujoco, scene = self._mujoco, self._scene
         height, width = self._world.options.size(camera)
@@ -101,7 +101,7 @@ class Renderer:
         # The scene numbers its geoms anew for each picture, in one byte's steps through red, green and blue.
         i_drawn = ids[::-1, :, 0].astype(np.uint16) + 256 * ids[::-1, :, 1].astype(np.uint16)
         labels, is_glass = self._lookup()
-        return View(
+        return RenderedView(
             np.ascontiguousarray(rgb[::-1]),
             metric(depth[::-1]),
             labels[i_drawn],

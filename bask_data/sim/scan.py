@@ -11,7 +11,7 @@ from bask_data.sim import gripper
 from bask_data.sim.take import Take
 from bask_data.sim.world import Layout, World
 
-FRAMES_PER_SECOND = 10.0
+SCAN_FRAMES_PER_SECOND = 10.0
 ELEVATION = (np.radians(24.0), np.radians(78.0))
 TURNS = 2.25
 
@@ -32,7 +32,7 @@ def scan(world: World, rng: np.random.Generator, layout: Layout | None = None) -
     return Take(
         layout=layout,
         qpos=qpos,
-        time=np.arange(n_frames) / FRAMES_PER_SECOND,
+        time=np.arange(n_frames) / SCAN_FRAMES_PER_SECOND,
         world_from_objects=np.repeat(world.world_from_objects()[None], n_frames, axis=0),
         touching=world.touching(),
         shows_gripper=world.options.gripper_in_view,

@@ -11,7 +11,7 @@ from bask_data.sim.world import Layout
 
 
 @dataclass(frozen=True)
-class Robot:
+class RobotMotion:
     """What the gripper did at each frame, and what it was told to do."""
 
     world_from_gripper: Float[ndarray, "t 4 4"]
@@ -36,4 +36,4 @@ class Take:
     world_from_objects: Float[ndarray, "t k 4 4"]
     touching: list[tuple[int, int]]
     shows_gripper: bool
-    robot: Robot | None = None
+    robot: RobotMotion | None = None

@@ -69,7 +69,7 @@ def _write(
     source: Path,
     options: Params,
     makes: type[Scan] | type[Demonstration],
-    read: recording.Recording,
+    read: recording.SourceRecording,
     key: str,
 ) -> list[Outcome]:
     dataset = Dataset.open_or_create(root)
@@ -100,7 +100,7 @@ def _enter(
     source: Path,
     options: Params,
     makes: type[Recording],
-    read: recording.Recording,
+    read: recording.SourceRecording,
 ) -> None:
     """List a published recording."""
     if not read.has_labels:
@@ -111,11 +111,11 @@ def _enter(
     dataset.add(makes.scope, item, Source(format=format.name, path=path, options=given, truth=read.has_labels))
 
 
-def _source_digest(source: Path, read: recording.Recording) -> str:
+def _source_digest(source: Path, read: recording.SourceRecording) -> str:
     return digest_of({os.path.relpath(file, source): file_digest(file) for file in read.files})
 
 
-def _key(makes: type[Recording], format: Format, options: Params, source: Path, read: recording.Recording) -> str:
+def _key(makes: type[Recording], format: Format, options: Params, source: Path, read: recording.SourceRecording) -> str:
     return digest_of(
         {
             "kind": makes.kind,
@@ -129,7 +129,7 @@ def _key(makes: type[Recording], format: Format, options: Params, source: Path, 
 
 
 def _write_recording(
-    out: Path, makes: type[Scan] | type[Demonstration], format: Format, read: recording.Recording
+    out: Path, makes: type[Scan] | type[Demonstration], format: Format, read: recording.SourceRecording
 ) -> None:
     arguments: dict[str, Any] = {}
     if makes is Demonstration and read.robot is not None:
@@ -175,7 +175,7 @@ def _checked(camera: recording.CameraRecording) -> Callable[[int], tuple[Any, An
     return read
 
 
-def _write_truth(out: Path, read: recording.Recording) -> None:
+def _write_truth(out: Path, read: recording.SourceRecording) -> None:
     cameras = {
         camera.name: (camera.n_frames, (camera.height, camera.width), camera.labels)
         for camera in read.cameras

@@ -36,10 +36,10 @@ N_VIEWS = 5
 STEPS_OF_OBJECT = N_VIEWS + N_VIEWS + N_VIEWS * (N_VIEWS - 1)
 """Steps of an object in the progress: views described, views that give candidates, and views they are looked for in."""
 
-N_CANDIDATES = 120
+CANDIDATES_PER_FRAME = 120
 """Candidates from each of these frames, at least."""
 
-BORDERS = (0.02, 0.01, 0.0)
+MASK_BORDERS = (0.02, 0.01, 0.0)
 """Distances from a mask's edge, as shares of the image's height; the next is tried where an object is too slim."""
 
 PICK = "correct it, or take it away: without any, `bask-data reference --pick` opens a page to choose them on."
@@ -238,11 +238,11 @@ def _of_instance(
 
     frames = _best_frames(instance, scan, masks)
     views = [_view(camera, i_frame, network) for camera, i_frame in steps.over(frames)]
-    for border in BORDERS:
+    for border in MASK_BORDERS:
         rng = np.random.default_rng((seed, instance))
         # Another border is the exception, and not counted on.
-        taken_from = steps.over(frames) if border == BORDERS[0] else frames
-        candidates = _candidates(instance, taken_from, masks, network, border, max(N_CANDIDATES, 2 * n), rng)
+        taken_from = steps.over(frames) if border == MASK_BORDERS[0] else frames
+        candidates = _candidates(instance, taken_from, masks, network, border, max(CANDIDATES_PER_FRAME, 2 * n), rng)
         if len(candidates.uv) >= n:
             break
     else:

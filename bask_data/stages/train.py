@@ -218,6 +218,7 @@ def train(
 
 def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Path, log: Path, group: Group) -> None:
     from bask_data.nn.network import best_device
+    from bask_data.nn.sampling import Examples
     from bask_data.nn.state import remove_all_but_state, remove_damaged_state, remove_state, saved_step
     from bask_data.nn.training import train_network
     from bask_data.nn.validation import validation_metrics
@@ -244,10 +245,8 @@ def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Pat
     try:
         trained = train_network(
             network,
-            learned,
-            _sample(params, crop),
             # Magnification is meant against the whole image, and the crop stands for it.
-            _augment(params, size[0] / crop[0]),
+            Examples(learned, _sample(params, crop), _augment(params, size[0] / crop[0])),
             settings,
             validate=validate,
             state_folder=out,

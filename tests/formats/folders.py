@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from bask_data.formats.recording import Recording
+from bask_data.formats.recording import SourceRecording
 
 HEIGHT, WIDTH = 12, 16
 INTRINSICS = "20,21,7.5,5.5"
@@ -49,7 +49,7 @@ def write_frames(folder: Path, poses: Float[ndarray, "t 4 4"], names: list[str] 
         np.savetxt(folder / f"frame-{name}.pose.txt", pose)
 
 
-def median_depth_disagreement(recording: Recording, a: int, b: int) -> float:
+def median_depth_disagreement(recording: SourceRecording, a: int, b: int) -> float:
     """How far the depth of frame a, moved into frame b, lies from what b measured there: the median, metres."""
     from bask_data.core.geometry import in_image, invert_rigid, pixel_grid, project, transform, unproject
 

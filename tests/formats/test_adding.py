@@ -24,7 +24,7 @@ from pydantic import Field
 from bask_data.params import Params
 
 if TYPE_CHECKING:
-    from bask_data.formats.recording import Recording
+    from bask_data.formats.recording import SourceRecording
 
 
 class ToyOptions(Params):
@@ -33,12 +33,12 @@ class ToyOptions(Params):
     height_above: float = Field(0.5, gt=0, description="Metres from the camera to the plane.")
 
 
-def read(source: Path, options: ToyOptions) -> Recording:
+def read(source: Path, options: ToyOptions) -> SourceRecording:
     """The images in their order."""
     import cv2
     import numpy as np
 
-    from bask_data.formats.recording import CameraRecording, Recording
+    from bask_data.formats.recording import CameraRecording, SourceRecording
 
     files = tuple(sorted(source.glob("*.png")))
     height, width = cv2.imread(str(files[0])).shape[:2]
@@ -53,7 +53,7 @@ def read(source: Path, options: ToyOptions) -> Recording:
         time=np.arange(float(len(files))),
         read=lambda i: (cv2.imread(str(files[i]))[..., ::-1].copy(), depth),
     )
-    return Recording((camera,), None, {}, {"depth": f"{options.height_above:g} m everywhere"}, files)
+    return SourceRecording((camera,), None, {}, {"depth": f"{options.height_above:g} m everywhere"}, files)
 '''
 
 

@@ -24,14 +24,14 @@ from bask_data.errors import BadData
 from bask_data.formats import FORMATS
 from bask_data.formats.camera import ImageFiles
 from bask_data.formats.options import ApcOptions
-from bask_data.formats.recording import Recording
+from bask_data.formats.recording import SourceRecording
 from tests.formats.folders import median_depth_disagreement, write_image
 
 DATASETS = Path(__file__).parents[2] / "datasets"
 SCAN, DEMO = DATASETS / "apc_shelf", DATASETS / "labelfusion_shelf"
 
 
-def read(source: Path, **options: object) -> Recording:
+def read(source: Path, **options: object) -> SourceRecording:
     apc = next(item for item in FORMATS if item.name == "apc")
     return apc.read(source, ApcOptions(**options))
 

@@ -15,13 +15,13 @@ from bask_data.core.geometry import invert_rigid
 from bask_data.errors import BadData, BaskError
 from bask_data.formats import FORMATS
 from bask_data.formats.options import FramesOptions
-from bask_data.formats.recording import Recording
+from bask_data.formats.recording import SourceRecording
 from tests.formats.folders import INTRINSICS, K, images, median_depth_disagreement, rigid, write_frames, write_image
 
 OPENCV_FROM_OPENGL = np.diag([1.0, -1, -1, 1])
 
 
-def read(source: Path, **options: object) -> Recording:
+def read(source: Path, **options: object) -> SourceRecording:
     frames = next(item for item in FORMATS if item.name == "frames")
     return frames.read(source, FramesOptions(**{"intrinsics": INTRINSICS, **options}))
 

@@ -11,14 +11,14 @@ from scipy.spatial.transform import Rotation
 from bask_data.errors import BadData, UsageError
 from bask_data.formats import FORMATS, tum
 from bask_data.formats.options import TumOptions
-from bask_data.formats.recording import Recording
+from bask_data.formats.recording import SourceRecording
 from tests.formats.folders import INTRINSICS, images, rigid, write_image
 
 POSES = np.stack([rigid(np.random.default_rng(i)) for i in range(4)])
 COLOR_TIME = [10.0, 10.1, 10.2, 10.3]
 
 
-def read(source: Path, **options: object) -> Recording:
+def read(source: Path, **options: object) -> SourceRecording:
     tum_format = next(item for item in FORMATS if item.name == "tum")
     return tum_format.read(source, TumOptions(**{"intrinsics": INTRINSICS, "depth_scale": 0.001, **options}))
 

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from bask_data.core.geometry import in_image, scale_pixels
 from bask_data.nn.augment import (
     GRAIN,
+    AugmentedView,
     AugmentSettings,
     Layer,
     Look,
-    View,
     _pieced,
     covered,
     grain,
@@ -38,11 +38,11 @@ def seen(image: np.ndarray, out_from_in: np.ndarray, size: tuple[int, int]) -> n
     """The image as a view shows it, black where it has no pixels."""
     ground = Layer(np.zeros((1, 1, 3), np.uint8), np.eye(2, 3))
     shown = covered(image.shape[:2], out_from_in, size)
-    return drawn(View(size, (ground, layer(image, out_from_in, shown)), NO_LOOK))
+    return drawn(AugmentedView(size, (ground, layer(image, out_from_in, shown)), NO_LOOK))
 
 
 def looked_at(rgb: np.ndarray, look: Look) -> np.ndarray:
-    return drawn(View(rgb.shape[:2], (Layer(rgb, np.eye(2, 3)),), look))
+    return drawn(AugmentedView(rgb.shape[:2], (Layer(rgb, np.eye(2, 3)),), look))
 
 
 def dotted(size: tuple[int, int], uv: np.ndarray, sigma: float) -> np.ndarray:
@@ -202,7 +202,7 @@ def test_fine_texture_shown_small_turns_grey_and_stays_in_its_place():
     checks = np.repeat(checks[..., None], 3, axis=2).astype(np.uint8)
     for factor in (0.5, 0.4, 0.25):
         affine = np.column_stack([factor * np.eye(2), [0.3, 0.6]])
-        view = View((15, 20), (layer(checks, affine),), NO_LOOK)
+        view = AugmentedView((15, 20), (layer(checks, affine),), NO_LOOK)
         np.testing.assert_allclose(drawn(view).astype(float), 128, atol=1)
         dot = np.array([41.0, 37.0])
         small = seen(dotted(SIZE, dot, 6.0), affine, (50, 60))
@@ -304,7 +304,7 @@ def test_grounds_are_plain_coloured_or_pieces_and_often_grainy():
     kinds = []
     for seed in range(80):
         ground = random_ground((60, 80), picture, np.zeros(SIZE, np.uint8), np.random.default_rng(seed))
-        image = drawn(View((60, 80), (ground,), NO_LOOK)).astype(int)
+        image = drawn(AugmentedView((60, 80), (ground,), NO_LOOK)).astype(int)
         if image.min() >= 98 and image.max() <= 110:
             kinds.append("pieces")
         elif np.ptp(image.reshape(-1, 3), axis=0).max() == 0:

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bask_data.nn.augment import GRAIN, Layer, Look, View
+from bask_data.nn.augment import GRAIN, AugmentedView, Layer, Look
 from bask_data.nn.rendering import drawn, drawn_on, to_device
 
 CPU = torch.device("cpu")
@@ -18,7 +18,7 @@ def picture(height: int, width: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
-def difference(views: list[View]) -> np.ndarray:
+def difference(views: list[AugmentedView]) -> np.ndarray:
     return np.abs(drawn_on(views, CPU).numpy().astype(int) - np.stack([drawn(view) for view in views]))
 
 
@@ -33,11 +33,11 @@ def difference(views: list[View]) -> np.ndarray:
 def test_torch_places_a_picture_as_opencv_does(scale, angle, shift, mirrored, shape):
     linear = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     affine = np.column_stack([linear @ np.diag([-1.0 if mirrored else 1.0, 1.0]), shift])
-    assert difference([View(SIZE, (Layer(picture(*shape), affine),), NO_LOOK)]).max() <= 1
+    assert difference([AugmentedView(SIZE, (Layer(picture(*shape), affine),), NO_LOOK)]).max() <= 1
 
 
 def test_a_picture_that_fits_is_shown_as_it_is_by_both():
-    view = View(SIZE, (Layer(picture(*SIZE), np.eye(2, 3)),), NO_LOOK)
+    view = AugmentedView(SIZE, (Layer(picture(*SIZE), np.eye(2, 3)),), NO_LOOK)
     np.testing.assert_array_equal(drawn(view), picture(*SIZE))
     np.testing.assert_array_equal(drawn_on([view], CPU)[0].numpy(), picture(*SIZE))
 
@@ -50,9 +50,9 @@ def test_upper_layers_cover_the_lower_where_they_are_shown():
     expected = np.full((*SIZE, 3), 10)
     expected[left] = 20
     expected[upper] = 30
-    np.testing.assert_array_equal(drawn(View(SIZE, layers, NO_LOOK)), expected)
+    np.testing.assert_array_equal(drawn(AugmentedView(SIZE, layers, NO_LOOK)), expected)
     # Views of one batch may have layers of any number and size.
-    views = [View(SIZE, layers[:n], NO_LOOK) for n in (1, 3, 2)]
+    views = [AugmentedView(SIZE, layers[:n], NO_LOOK) for n in (1, 3, 2)]
     np.testing.assert_array_equal(drawn_on(views, CPU)[1].numpy(), expected)
     assert difference(views).max() == 0
 
@@ -60,7 +60,7 @@ def test_upper_layers_cover_the_lower_where_they_are_shown():
 def test_both_look_at_an_image_alike():
     rng = np.random.default_rng(3)
     views = [
-        View(
+        AugmentedView(
             SIZE,
             (Layer(picture(30 + 10 * (i % 2), 50, i), np.eye(2, 3)),),
             Look(
@@ -86,6 +86,9 @@ def test_an_array_is_the_same_on_a_device(array):
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 def test_a_gpu_draws_what_opencv_does():
-    views = [View(SIZE, (Layer(picture(*SIZE, i), np.eye(2, 3)),), Look(np.eye(3, 4), 1.0, 9.0, i)) for i in range(3)]
+    views = [
+        AugmentedView(SIZE, (Layer(picture(*SIZE, i), np.eye(2, 3)),), Look(np.eye(3, 4), 1.0, 9.0, i))
+        for i in range(3)
+    ]
     found = drawn_on(views, torch.device("cuda")).cpu().numpy().astype(int)
     assert np.abs(found - np.stack([drawn(view) for view in views])).max() <= 2

@@ -10,7 +10,7 @@ from bask_data.nn import training
 from bask_data.nn.augment import AugmentSettings
 from bask_data.nn.loss import Terms
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings
-from bask_data.nn.sampling import SampleSettings, batch_of_step, plan_of_step
+from bask_data.nn.sampling import Examples, SampleSettings, batch_of_step, plan_of_step
 from bask_data.nn.state import BEST, STATE
 from bask_data.nn.training import TrainingSettings, best_step, learning_rate, train_network, uses_bfloat16
 from tests.nn.pairs import ScenePairs
@@ -93,8 +93,8 @@ class Verdicts:
 def test_training_twice_gives_the_same_bits(loss):
     settings = replace(SETTINGS, steps=2, loss=loss)
     first, second = new_network(), new_network()
-    trained = train_network(first, ScenePairs(), SAMPLE, AUGMENT, settings)
-    assert train_network(second, ScenePairs(), SAMPLE, AUGMENT, settings) == trained
+    trained = train_network(first, Examples(ScenePairs(), SAMPLE, AUGMENT), settings)
+    assert train_network(second, Examples(ScenePairs(), SAMPLE, AUGMENT), settings) == trained
     assert_equal_bits(second, weights(first))
 
 
@@ -108,11 +108,11 @@ def test_an_interrupted_training_ends_with_the_bits_of_an_uninterrupted_one(tmp_
     settings = replace(SETTINGS, validate_every=1, accumulate=2)
     sample, arguments = replace(SAMPLE, n_pairs=2), {"validate": judged}
     whole = new_network()
-    expected = train_network(whole, ScenePairs(), sample, AUGMENT, settings, **arguments)
+    expected = train_network(whole, Examples(ScenePairs(), sample, AUGMENT), settings, **arguments)
     arguments["state_folder"] = tmp_path
     cut = new_network()
     with pytest.raises(Interrupted):
-        train_network(cut, ScenePairs(), sample, AUGMENT, settings, **arguments, steps=stopping_before(stop))
+        train_network(cut, Examples(ScenePairs(), sample, AUGMENT), settings, **arguments, steps=stopping_before(stop))
     assert (tmp_path / STATE).exists()
     resumed = new_network()
     numbers: list[int] = []
@@ -122,12 +122,12 @@ def test_an_interrupted_training_ends_with_the_bits_of_an_uninterrupted_one(tmp_
             numbers.append(number)
             yield number
 
-    found = train_network(resumed, ScenePairs(), sample, AUGMENT, settings, **arguments, steps=steps)
+    found = train_network(resumed, Examples(ScenePairs(), sample, AUGMENT), settings, **arguments, steps=steps)
     assert numbers[0] == stop
     assert found == expected
     assert_equal_bits(resumed, weights(whole))
     again = new_network()
-    assert train_network(again, ScenePairs(), sample, AUGMENT, settings, **arguments, steps=steps) == expected
+    assert train_network(again, Examples(ScenePairs(), sample, AUGMENT), settings, **arguments, steps=steps) == expected
     assert numbers[-1] == 5, "a training that is done is not done again"
     assert_equal_bits(again, weights(whole))
 
@@ -136,7 +136,7 @@ def test_an_interrupted_training_ends_with_the_bits_of_an_uninterrupted_one(tmp_
 def test_training_lowers_the_loss(loss, share_left):
     settings = replace(SETTINGS, steps=80, loss=loss, learning_rate=3e-3, log_every=4)
     gentle = AugmentSettings(zoom=(1.0, 1.0), rotation=0.0, flip=0.0, background=0.0)
-    trained = train_network(new_network(), ScenePairs(n_views=2), SAMPLE, gentle, settings)
+    trained = train_network(new_network(), Examples(ScenePairs(n_views=2), SAMPLE, gentle), settings)
     values = [value for _, name, value in trained.curve if name == "loss"]
     assert values[-1] < share_left * values[0]
 
@@ -144,15 +144,15 @@ def test_training_lowers_the_loss(loss, share_left):
 def test_the_curve_has_every_term_and_the_validation():
     verdicts = Verdicts(0.5)
     settings = replace(SETTINGS, steps=4, validate_every=4)
-    curve = train_network(new_network(), ScenePairs(), SAMPLE, AUGMENT, settings, validate=verdicts).curve
+    curve = train_network(new_network(), Examples(ScenePairs(), SAMPLE, AUGMENT), settings, validate=verdicts).curve
     assert {name for _, name, _ in curve} == CONTRASTIVE | {"learning_rate", "validation_pck_4"}
     assert [step for step, name, _ in curve if name == "loss"] == [2, 4]
     assert [step for step, name, _ in curve if name == "validation_pck_4"] == [4]
 
 
 def test_rows_of_the_curve_are_means_over_the_steps_between_them():
-    every = train_network(new_network(), ScenePairs(), SAMPLE, AUGMENT, replace(SETTINGS, log_every=1)).curve
-    third = train_network(new_network(), ScenePairs(), SAMPLE, AUGMENT, replace(SETTINGS, log_every=3)).curve
+    every = train_network(new_network(), Examples(ScenePairs(), SAMPLE, AUGMENT), replace(SETTINGS, log_every=1)).curve
+    third = train_network(new_network(), Examples(ScenePairs(), SAMPLE, AUGMENT), replace(SETTINGS, log_every=3)).curve
     losses = [value for _, name, value in every if name == "loss"]
     expected = [sum(losses[:3]) / 3, sum(losses[3:]) / 3]
     assert [value for _, name, value in third if name == "loss"] == pytest.approx(expected)
@@ -162,9 +162,9 @@ def test_rows_of_the_curve_are_means_over_the_steps_between_them():
 def test_a_batch_in_parts_gives_the_gradients_of_the_whole(loss):
     settings = replace(SETTINGS, steps=2, loss=loss, frozen_batch_norm=True, log_every=1)
     sample, whole, parted = replace(SAMPLE, n_pairs=3), new_network(), new_network()
-    of_whole = train_network(whole, ScenePairs(), sample, AUGMENT, settings)
+    of_whole = train_network(whole, Examples(ScenePairs(), sample, AUGMENT), settings)
     # Three pairs in two parts: they are of one and of two pairs, and weigh as much.
-    of_parts = train_network(parted, ScenePairs(), sample, AUGMENT, replace(settings, accumulate=2))
+    of_parts = train_network(parted, Examples(ScenePairs(), sample, AUGMENT), replace(settings, accumulate=2))
     values = [[value for _, _, value in trained.curve] for trained in (of_whole, of_parts)]
     assert values[0] == pytest.approx(values[1], rel=1e-4)
     assert max(value for _, name, value in of_whole.curve if name == "loss") > 0.01
@@ -181,7 +181,9 @@ def test_a_batch_in_parts_gives_the_gradients_of_the_whole(loss):
 def test_the_weights_that_validated_best_are_kept(tmp_path, name, values, chosen):
     verdicts, network = Verdicts(*values, name=name), new_network()
     settings = replace(SETTINGS, steps=3, validate_every=1, best_by=name)
-    trained = train_network(network, ScenePairs(), SAMPLE, AUGMENT, settings, validate=verdicts, state_folder=tmp_path)
+    trained = train_network(
+        network, Examples(ScenePairs(), SAMPLE, AUGMENT), settings, validate=verdicts, state_folder=tmp_path
+    )
     assert (trained.step, trained.n_steps) == (chosen, 3)
     assert_equal_bits(network, verdicts.seen[chosen - 1])
     assert not torch.equal(verdicts.seen[0]["encoder.head.weight"], verdicts.seen[1]["encoder.head.weight"])
@@ -191,7 +193,7 @@ def test_the_weights_that_validated_best_are_kept(tmp_path, name, values, chosen
 def test_without_a_metric_to_choose_by_the_last_weights_are_kept():
     verdicts, network = Verdicts(0.9, 0.1), new_network()
     settings = replace(SETTINGS, steps=2, validate_every=1, best_by=None)
-    trained = train_network(network, ScenePairs(), SAMPLE, AUGMENT, settings, validate=verdicts)
+    trained = train_network(network, Examples(ScenePairs(), SAMPLE, AUGMENT), settings, validate=verdicts)
     assert trained.step == 2
     assert_equal_bits(network, verdicts.seen[1])
 
@@ -200,11 +202,11 @@ def test_training_ends_early_when_validation_gets_no_better(tmp_path):
     verdicts, network = Verdicts(0.1, 0.5, 0.4, 0.3), new_network()
     settings = replace(SETTINGS, steps=40, validate_every=1, patience=2)
     arguments = {"validate": verdicts, "state_folder": tmp_path}
-    trained = train_network(network, ScenePairs(), SAMPLE, AUGMENT, settings, **arguments)
+    trained = train_network(network, Examples(ScenePairs(), SAMPLE, AUGMENT), settings, **arguments)
     assert (trained.step, trained.n_steps) == (2, 4)
     assert_equal_bits(network, verdicts.seen[1])
     again = new_network()
-    assert train_network(again, ScenePairs(), SAMPLE, AUGMENT, settings, **arguments) == trained
+    assert train_network(again, Examples(ScenePairs(), SAMPLE, AUGMENT), settings, **arguments) == trained
     assert len(verdicts.seen) == 4, "called again, it knows that it has ended"
     assert_equal_bits(again, verdicts.seen[1])
 
@@ -212,7 +214,7 @@ def test_training_ends_early_when_validation_gets_no_better(tmp_path):
 def test_patience_begins_anew_with_each_better_one():
     verdicts = Verdicts(0.1, 0.0, 0.2, 0.1, 0.3, 0.2)
     settings = replace(SETTINGS, steps=6, validate_every=1, patience=2)
-    trained = train_network(new_network(), ScenePairs(), SAMPLE, AUGMENT, settings, validate=verdicts)
+    trained = train_network(new_network(), Examples(ScenePairs(), SAMPLE, AUGMENT), settings, validate=verdicts)
     assert (trained.step, trained.n_steps) == (5, 6)
 
 
@@ -229,7 +231,7 @@ def test_frozen_batch_norm_keeps_its_statistics_after_validation_too():
     network = new_network()
     before = weights(network)
     settings = replace(SETTINGS, steps=3, frozen_batch_norm=True, validate_every=1)
-    train_network(network, ScenePairs(), SAMPLE, AUGMENT, settings, validate=Verdicts(0.0, 0.0, 0.0))
+    train_network(network, Examples(ScenePairs(), SAMPLE, AUGMENT), settings, validate=Verdicts(0.0, 0.0, 0.0))
     after = weights(network)
     assert all(torch.equal(before[name], after[name]) for name in before if "running" in name)
     assert not torch.equal(before["encoder.conv1.weight"], after["encoder.conv1.weight"])
@@ -251,7 +253,7 @@ def test_what_is_frozen_is_not_trained():
     network.encoder.requires_grad_(False)
     network.encoder.head.requires_grad_(True)
     before = weights(network)
-    train_network(network, ScenePairs(), SAMPLE, AUGMENT, replace(SETTINGS, steps=2, frozen_batch_norm=True))
+    train_network(network, Examples(ScenePairs(), SAMPLE, AUGMENT), replace(SETTINGS, steps=2, frozen_batch_norm=True))
     changed = {name for name, value in weights(network).items() if not torch.equal(value, before[name])}
     assert changed == {"encoder.head.weight", "encoder.head.bias"}
 
@@ -259,7 +261,9 @@ def test_what_is_frozen_is_not_trained():
 def test_speed_and_waiting_are_told_but_are_no_part_of_the_curve():
     told: list[tuple[int, dict[str, float]]] = []
     settings = replace(SETTINGS, steps=4)
-    trained = train_network(new_network(), ScenePairs(), SAMPLE, AUGMENT, settings, watch=lambda *row: told.append(row))
+    trained = train_network(
+        new_network(), Examples(ScenePairs(), SAMPLE, AUGMENT), settings, watch=lambda *row: told.append(row)
+    )
     assert [step for step, _ in told] == [2, 4]
     for _, values in told:
         assert values["images_per_second"] > 0
@@ -273,7 +277,7 @@ def test_bfloat16_computes_in_it_and_ends_near_float32():
     losses = {}
     for precision in ("float32", "bfloat16"):
         settings = replace(SETTINGS, steps=2, precision=precision, log_every=1)
-        trained = train_network(new_network(), ScenePairs(), SAMPLE, AUGMENT, settings)
+        trained = train_network(new_network(), Examples(ScenePairs(), SAMPLE, AUGMENT), settings)
         losses[precision] = [value for _, name, value in trained.curve if name == "loss"]
     assert losses["bfloat16"] != losses["float32"]
     assert losses["bfloat16"] == pytest.approx(losses["float32"], rel=0.1)
@@ -291,7 +295,7 @@ def test_steps_are_those_of_adam(monkeypatch):
         optimiser.zero_grad()
         sum(value.square().sum() for value in expected).backward()
         optimiser.step()
-    train_network(network, ScenePairs(), SAMPLE, AUGMENT, settings)
+    train_network(network, Examples(ScenePairs(), SAMPLE, AUGMENT), settings)
     for found, value in zip(network.trainable_parameters(), expected, strict=True):
         torch.testing.assert_close(found, value)
 
@@ -316,7 +320,7 @@ def test_a_loss_that_is_no_number_stops_training():
         network.encoder.head.weight.fill_(float("nan"))
     with no_garbage_collector():
         with pytest.raises(FloatingPointError, match="loss is nan at step 2; a smaller learning rate may help"):
-            train_network(network, ScenePairs(), SAMPLE, AUGMENT, SETTINGS)
+            train_network(network, Examples(ScenePairs(), SAMPLE, AUGMENT), SETTINGS)
         assert not threads_named("batches")
 
 
@@ -325,6 +329,9 @@ def test_states_are_written_as_often_as_their_cost_allows_and_at_the_end(tmp_pat
     saved: list[int] = []
     monkeypatch.setattr(training, "save_state", lambda *given: saved.append(given[-1].step))
     train_network(
-        new_network(), ScenePairs(), SAMPLE, AUGMENT, replace(SETTINGS, save_share=share), state_folder=tmp_path
+        new_network(),
+        Examples(ScenePairs(), SAMPLE, AUGMENT),
+        replace(SETTINGS, save_share=share),
+        state_folder=tmp_path,
     )
     assert saved == expected

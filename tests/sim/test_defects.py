@@ -6,16 +6,16 @@ import pytest
 from bask_data.core.geometry import invert_rigid, rotation_angle
 from bask_data.sim.defects import depth_edges, grazing, holes, measured, noisy_poses, stored, with_flying_pixels
 from bask_data.sim.options import SimOptions
-from bask_data.sim.rendering import View, intrinsics
+from bask_data.sim.rendering import RenderedView, intrinsics
 
 H, W = 240, 320
 K = intrinsics(56.0, H, W)
 
 
-def view_of(depth: np.ndarray, glass: np.ndarray | None = None) -> View:
+def view_of(depth: np.ndarray, glass: np.ndarray | None = None) -> RenderedView:
     shape = depth.shape
     is_glass = np.zeros(shape, dtype=bool) if glass is None else glass
-    return View(
+    return RenderedView(
         np.zeros((*shape, 3), dtype=np.uint8), depth.astype(np.float32), np.zeros(shape, np.uint8), is_glass, np.eye(4)
     )
 

@@ -7,7 +7,7 @@ import pytest
 from bask_data.core.geometry import invert_rigid, pixel_grid, project, transform, unproject
 from bask_data.sim import gripper
 from bask_data.sim.options import TASKS, SimOptions, TaskName
-from bask_data.sim.rendering import Renderer, View, intrinsics, metric
+from bask_data.sim.rendering import RenderedView, Renderer, intrinsics, metric
 from bask_data.sim.scan import scan
 from bask_data.sim.world import FAR, NEAR, TABLE, World
 from tests.sim.worlds import (
@@ -26,7 +26,7 @@ FACETS = 7e-4
 """Metres by which the facets that stand for a round surface lie inside it."""
 
 
-def rays_world(view: View, K: np.ndarray) -> np.ndarray:
+def rays_world(view: RenderedView, K: np.ndarray) -> np.ndarray:
     """Directions in the world with a length of 1 along the camera's axis: they reach a surface at its z-depth."""
     height, width = view.depth.shape
     return unproject(pixel_grid(height, width), np.ones((height, width)), K) @ view.world_from_camera[:3, :3].T

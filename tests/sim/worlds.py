@@ -11,7 +11,7 @@ import numpy as np
 from bask_data.core.geometry import invert_rigid, pixel_grid, transform, unproject
 from bask_data.sim.experts import demonstrate
 from bask_data.sim.options import SimOptions, TaskName
-from bask_data.sim.rendering import Renderer, View
+from bask_data.sim.rendering import RenderedView, Renderer
 from bask_data.sim.scan import scan
 from bask_data.sim.take import Take
 from bask_data.sim.world import World
@@ -45,7 +45,9 @@ def renderer_of(world: World) -> Renderer:
     return renderer
 
 
-def views(world: World, take: Take, camera: str, frames: list[int], shows_gripper: bool | None = None) -> list[View]:
+def views(
+    world: World, take: Take, camera: str, frames: list[int], shows_gripper: bool | None = None
+) -> list[RenderedView]:
     """What a camera sees at some frames; the world is left at the last one."""
     world.restore(take.layout)
     renderer = renderer_of(world)
@@ -61,7 +63,7 @@ def intrinsics_of(world: World, camera: str) -> np.ndarray:
     return renderer_of(world).K(camera)
 
 
-def points_world(view: View, K: np.ndarray) -> np.ndarray:
+def points_world(view: RenderedView, K: np.ndarray) -> np.ndarray:
     """What each pixel sees, in the world."""
     height, width = view.depth.shape
     return transform(view.world_from_camera, unproject(pixel_grid(height, width), view.depth.astype(np.float64), K))
