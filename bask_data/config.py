@@ -11,6 +11,7 @@ from bask_data.artifact import write_text_atomically
 from bask_data.engine import Config, Stage
 from bask_data.errors import BadData, UsageError
 from bask_data.presets import PresetName, preset
+from bask_data.spelling import suggestion
 
 
 def load_config(
@@ -34,18 +35,21 @@ def load_config(
         target, equals, text = assignment.partition("=")
         section, dot, field = target.strip().rpartition(".")
         if not equals or not dot:
-            raise UsageError("--set", "", expected="stage.field=value", got=assignment)
+            fix = "for instance --set reconstruct.voxel_size=0.003"
+            raise UsageError("--set", "", expected="stage.field=value", got=assignment, fix=fix)
         config.setdefault(section, {})[field] = _value(text)
     by_name = {stage.name: stage for stage in stages}
     where = str(file) if file else "--set"
     for section, values in config.items():
         stage = by_name.get(section.split("@")[0])
         if stage is None:
-            raise UsageError(where, section, expected=f"one of {', '.join(by_name)}", got=section)
+            fix = suggestion(section.split("@")[0], by_name)
+            raise UsageError(where, section, expected=f"one of {', '.join(by_name)}", got=section, fix=fix)
         unknown = [field for field in values if field not in stage.params.model_fields]
         if unknown:
-            known = ", ".join(stage.params.model_fields)
-            raise UsageError(where, f"{section}.{unknown[0]}", expected=f"one of {known}", got=str(unknown[0]))
+            known, got = stage.params.model_fields, str(unknown[0])
+            fix = suggestion(got, known) or f"`bask-data {stage.name} --help` lists them."
+            raise UsageError(where, f"{section}.{got}", expected=f"one of {', '.join(known)}", got=got, fix=fix)
     return config
 
 

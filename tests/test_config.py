@@ -38,7 +38,7 @@ def test_order_is_option_then_set_then_item_then_stage_then_default(tmp_path: Pa
     ("text", "message"),
     [
         ("fusing: {}", "fusing: expected one of fuse, pick, got fusing"),
-        ("fuse: {voxel: 1}", "fuse.voxel: expected one of voxel_size, fail, ignored, file, got voxel"),
+        ("fuse: {voxel: 1}", "fuse.voxel: expected one of voxel_size, .* got voxel.  fix: did you mean voxel_size?"),
     ],
 )
 def test_unknown_names_are_refused_with_the_choices(tmp_path: Path, text: str, message: str) -> None:

@@ -385,7 +385,7 @@ def test_a_step_looks_at_a_share_of_the_image_as_large_as_all_of_it_would_show(d
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"crop": "padded", "crop_share": 0.5}, r'crop: expected resized, or --crop-share 1 .*, got "padded"'),
+        ({"crop": "padded", "crop_share": 0.5}, r"crop: expected resized, or --crop-share 1 .*, got 'padded'"),
         ({"zoom": (2.0, 1.0)}, r"zoom: expected 0.1 <= smallest <= largest <= 10, got \[2.0, 1.0\]"),
         ({"zoom": (1.0, 1e30)}, r"zoom: expected 0.1 <= smallest <= largest <= 10, got \[1.0, 1e\+30\]"),
         ({"pairs_per_step": 2, "accumulate": 3}, r"accumulate: expected at most 2, the pairs of a step, got 3"),

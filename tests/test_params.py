@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import pytest
+from pydantic import Field, ValidationError
+
+from bask_data.params import Params, first_fault
+
+
+class Inner(Params):
+    steps: int = 1
+
+
+class Example(Params):
+    steps: int = Field(1, ge=1)
+    rate: float = Field(1.0, gt=0)
+    flag: bool = False
+    name: str = ""
+    loss: Literal["infonce", "contrastive"] = "infonce"
+    zoom: tuple[float, float] = (1.0, 2.0)
+    decay: float | None = None
+    height: int = Field(8, multiple_of=8)
+    picks: tuple[str, ...] = ()
+    counts: dict[str, int] = {}
+    inner: Inner = Inner()
+
+
+@pytest.mark.parametrize(
+    ("values", "fault"),
+    [
+        ({"steps": "many"}, ("steps", "a whole number", "'many'")),
+        ({"steps": 1.5}, ("steps", "a whole number", "1.5")),
+        ({"steps": 0}, ("steps", "greater than or equal to 1", "0")),
+        ({"rate": "abc"}, ("rate", "a number", "'abc'")),
+        ({"rate": [1]}, ("rate", "a number", "[1]")),
+        ({"rate": float("nan")}, ("rate", "a finite number", "NaN")),
+        ({"flag": "maybe"}, ("flag", "true or false", "'maybe'")),
+        ({"name": 3}, ("name", "text", "3")),
+        ({"loss": "infoncee"}, ("loss", "one of infonce, contrastive", "'infoncee'")),
+        ({"zoom": [1]}, ("zoom.1", "a value", "none")),
+        ({"zoom": [1, 2, 3]}, ("zoom", "at most 2 values", "[1, 2, 3]")),
+        ({"zoom": 3}, ("zoom", "a list", "3")),
+        ({"decay": "x"}, ("decay", "a number", "'x'")),
+        ({"height": 9}, ("height", "a multiple of 8", "9")),
+        ({"picks": "a"}, ("picks", "a list", "'a'")),
+        ({"counts": 3}, ("counts", "values by name", "3")),
+        ({"inner": 3}, ("inner", "values by name", "3")),
+        ({"stepz": 3}, ("stepz", "no field of that name", "3")),
+    ],
+)
+def test_a_fault_is_told_in_plain_words(values: dict[str, Any], fault: tuple[str, str, str]) -> None:
+    with pytest.raises(ValidationError) as caught:
+        Example.model_validate(values)
+    assert first_fault(caught.value) == fault
+
+
+def test_a_long_value_is_cut() -> None:
+    with pytest.raises(ValidationError) as caught:
+        Example.model_validate({"rate": "x" * 1000})
+    assert first_fault(caught.value)[2] == f"'{'x' * 80}'"

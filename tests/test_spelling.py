@@ -1,0 +1,17 @@
+from __future__ import annotations
+
+import pytest
+
+from bask_data.spelling import suggestion
+
+NAMES = ["voxel_size", "workspace", "min_views", "near", "far"]
+
+
+@pytest.mark.parametrize("name", ["voxelsize", "voxel-size", "VOXEL_SIZE", "voxel_sizes"])
+def test_the_nearest_name_is_suggested(name: str) -> None:
+    assert suggestion(name, NAMES) == "did you mean voxel_size?"
+
+
+def test_nothing_is_suggested_where_nothing_is_near() -> None:
+    assert suggestion("colour", NAMES) == ""
+    assert suggestion("colour", []) == ""
