@@ -49,6 +49,7 @@ check: setup docs
 	$(VENV)/mypy
 	$(VENV)/lint-imports
 	$(VENV)/python -m bask_data.schemas --check
+	$(VENV)/python -m tests.cli.help_texts --check
 	@set -e; for file in $(wildcard pipelines/*/dataset.json); do \
 		echo "$(VENV)/bask-data dvc $$(dirname $$file) --check"; \
 		$(VENV)/bask-data dvc $$(dirname $$file) --check; \

@@ -49,6 +49,9 @@ class BaskCommand(TyperCommand):
 
     def parse_args(self, ctx: Context, args: list[str]) -> list[str]:
         """As Typer does, with errors of ours."""
+        if ctx.resilient_parsing and args and args[-1].startswith("-"):
+            # An option that is being completed has no value yet, over which the parser would forget the arguments.
+            args = args[:-1]
         rest = parsed(self, super().parse_args, ctx, args)
         if rest and not ctx.resilient_parsing:
             raise usage.extra_arguments(rest, ctx)

@@ -7,7 +7,7 @@ import types
 import typing
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 import typer
 
@@ -22,14 +22,23 @@ Root = Annotated[Path, typer.Argument(help="The dataset's directory.", metavar="
 Json = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON, alone on stdout.", rich_help_panel=OUTPUT)
 ]
-Only = Annotated[
-    str,
-    typer.Option(
-        help="Only these scenes or demonstrations, separated by commas.",
-        metavar="NAMES",
-        autocompletion=completion.recordings,
-    ),
-]
+
+
+def _only(what: str, completed: completion.Completer) -> Any:
+    help = f"Only these {what}, separated by commas."
+    return Annotated[str, typer.Option(help=help, metavar="NAMES", autocompletion=completed)]
+
+
+if TYPE_CHECKING:
+    Only = str
+else:
+    Only = _only("scenes or demonstrations", completion.recordings)
+ONLY = {
+    "scene": _only("scenes", completion.scenes),
+    "demonstration": _only("demonstrations", completion.demonstrations),
+}
+"""By what a stage makes one of each for."""
+
 Jobs = Annotated[
     int,
     typer.Option(

@@ -13,13 +13,13 @@ from bask_data.cli.calls import call_of
 from bask_data.cli.commands import CommandList
 from bask_data.cli.console import show_outcome, shown_progress
 from bask_data.cli.options import (
+    ONLY,
     Cluster,
     ConfigFile,
     DryRun,
     Force,
     Jobs,
     Json,
-    Only,
     Preset,
     Root,
     Set,
@@ -75,7 +75,7 @@ def _signature(stage: Stage) -> list[inspect.Parameter]:
     """Positional parameters first, as a signature wants them; everyday options before the others."""
     parameters = [parameter("root", Root, inspect.Parameter.empty)]
     if stage.makes.scope != "dataset":
-        parameters.append(parameter("only", Only, ""))
+        parameters.append(parameter("only", ONLY[stage.makes.scope], ""))
     if stage.makes.has_variants:
         parameters += _variant_options(stage)
     parameters += [
