@@ -104,20 +104,17 @@ def descriptor(
     By exact depth and cameras where the truth knows them, else by the dataset's own matches; broken down by change of
     scale, rotation, occlusion and object.
     """
-    from bask_data.evaluation import evaluated_descriptor
+    from bask_data.evaluation import DescriptorSettings, evaluated_descriptor
     from bask_data.evaluation.tables import descriptor_tables
 
     with shown_progress():
         found = evaluated_descriptor(
             Dataset(root),
             names_of(variant),
-            scenes=names_of(scenes),
-            pairs=pairs,
-            sweep=sweep,
-            keypoints=keypoints,
+            DescriptorSettings(
+                scenes=names_of(scenes), pairs=pairs, sweep=sweep, keypoints=keypoints, alpha=alpha, seed=seed
+            ),
             against=_named_datasets(against),
-            alpha=alpha,
-            seed=seed,
         )
     print_result("evaluate descriptor", descriptor_tables(found), found, json_)
 
@@ -147,7 +144,7 @@ def keypoints(
     Single frames, discrete and particle filter, on demonstrations whose truth knows where the objects are. The dataset
     keeps the result in evaluation/keypoints.json, for its report.
     """
-    from bask_data.evaluation import evaluated_keypoints
+    from bask_data.evaluation import StudySettings, evaluated_keypoints
     from bask_data.evaluation.keypoint_study import save_study
     from bask_data.evaluation.tables import keypoint_tables
     from bask_data.report.study import write_pictures
@@ -157,14 +154,16 @@ def keypoints(
         found = evaluated_keypoints(
             dataset,
             names_of(variant),
-            demonstrations=names_of(demonstrations),
-            objects=names_of(objects),
-            cameras=names_of(cameras),
-            reference=reference,
-            pick_in=names_of(pick_in),
-            n_keypoints=keypoints,
-            settings=settings,
-            seed=seed,
+            StudySettings(
+                demonstrations=names_of(demonstrations),
+                objects=names_of(objects),
+                cameras=names_of(cameras),
+                reference=reference,
+                pick_in=names_of(pick_in),
+                n_keypoints=keypoints,
+                filters=settings,
+                seed=seed,
+            ),
         )
     files = [save_study(dataset, found), *(write_pictures(dataset, found, pictures) if pictures else [])]
     print_result("evaluate keypoints", keypoint_tables(found), {"files": list(map(str, files)), **found}, json_)

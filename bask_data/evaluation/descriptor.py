@@ -27,17 +27,33 @@ PAIRS_SWEPT = 8
 """One of so many pairs is zoomed and turned: each costs the network several further images."""
 
 
+@dataclass(frozen=True)
+class DescriptorSettings:
+    """On what networks are measured, and how.
+
+    Args:
+        scenes: to measure on; by default what none of the networks was trained on.
+        pairs: of frames, of each scene, at most.
+        sweep: zoom and turn some of the views, too: `by_zoom` and `by_turn`.
+        keypoints: number of those that are picked in a view trained on and looked for in others; 0 is none.
+        alpha: temperature of the heat maps whose calibration is measured.
+        seed: of the pairs and of the pixels looked for.
+    """
+
+    scenes: Sequence[str] = ()
+    pairs: int = 100
+    sweep: bool = False
+    keypoints: int = 0
+    alpha: float = ALPHA
+    seed: int = 0
+
+
 def evaluated_descriptor(
     dataset: Dataset,
     variants: Sequence[str] = ("main",),
+    settings: DescriptorSettings | None = None,
     *,
-    scenes: Sequence[str] = (),
-    pairs: int = 100,
-    sweep: bool = False,
-    keypoints: int = 0,
     against: Mapping[str, Dataset] | None = None,
-    alpha: float = ALPHA,
-    seed: int = 0,
 ) -> dict[str, Any]:
     """Figures of each variant on the same matches, as plain JSON values.
 
@@ -46,20 +62,16 @@ def evaluated_descriptor(
     of `curves_by`, at the thresholds of `curves`.
 
     Args:
-        scenes: to measure on; by default what none of the variants was trained on.
-        pairs: of frames, of each scene, at most.
-        sweep: zoom and turn some of the views, too: `by_zoom` and `by_turn`.
-        keypoints: number of those that are picked in a view trained on and looked for in others; 0 is none.
         against: by name, datasets with the same objects, or others of these names, to look for the keypoints in.
-        alpha: temperature of the heat maps whose truthfulness is measured.
 
     Raises:
         UsageError: a scene or a variant is not there, nothing can be matched, or `alpha` is no temperature.
         BadData: a network does not load.
     """
-    if not 0 <= alpha < float("inf"):
-        raise UsageError("evaluate descriptor", "--alpha", expected="a finite number, 0 or more", got=alpha)
-    aside = held_out(dataset, variants, scenes)
+    settings = settings or DescriptorSettings()
+    if not 0 <= settings.alpha < float("inf"):
+        raise UsageError("evaluate descriptor", "--alpha", expected="a finite number, 0 or more", got=settings.alpha)
+    aside = held_out(dataset, variants, settings.scenes)
     networks = {name: _network(dataset, name) for name in variants}
     scores: dict[str, list[Scored]] = {name: [] for name in variants}
     turned: dict[str, list[tuple[str, str, Records]]] = {name: [] for name in variants}
@@ -67,22 +79,22 @@ def evaluated_descriptor(
     for scene in aside.scenes:
         frames = Frames(dataset, scene)
         sources[scene] = "exact depth and cameras" if frames.truth is not None else "correspondences"
-        candidates = candidate_pairs(dataset, frames, aside, seed)
-        spread = spread_pairs(candidates, pairs, seed)
-        alike = alike_pairs(candidates, max(pairs // PAIRS_SWEPT, 1), seed) if sweep else []
+        candidates = candidate_pairs(dataset, frames, aside, settings.seed)
+        spread = spread_pairs(candidates, settings.pairs, settings.seed)
+        alike = alike_pairs(candidates, max(settings.pairs // PAIRS_SWEPT, 1), settings.seed) if settings.sweep else []
         for name, network in networks.items():
-            scores[name] += _scored(network, frames, spread, alpha, name)
-            turned[name] += swept(network, frames, alike, alpha, name)
+            scores[name] += _scored(network, frames, spread, settings.alpha, name)
+            turned[name] += swept(network, frames, alike, settings.alpha, name)
     if not any(scores.values()):
         raise UsageError(dataset.root, expected="frames that see the same objects", got=f"none in {aside.words}")
     found = {name: _told(scored) | _told_conditions(turned[name]) for name, scored in scores.items()}
-    if keypoints:
-        table = keypoint_table(dataset, networks, aside, against or {}, keypoints, seed)
+    if settings.keypoints:
+        table = keypoint_table(dataset, networks, aside, against or {}, settings.keypoints, settings.seed)
         found = {name: told | {"keypoints": table[name]} for name, told in found.items()}
     return {
         "measured_on": aside.words,
         "matches_by": sources,
-        "alpha": alpha,
+        "alpha": settings.alpha,
         "radius_share": RADIUS,
         "n_pairs": len(scores[variants[0]]),
         "variants": found,

@@ -6,7 +6,7 @@ from typing import Any
 
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
-from bask_data.evaluation.descriptor import evaluated_descriptor
+from bask_data.evaluation.descriptor import DescriptorSettings, evaluated_descriptor
 from bask_data.evaluation.held_out import held_out
 from bask_data.evaluation.lookup import UNREADABLE, find, what_is_wrong
 from bask_data.kinds import DescriptorNet
@@ -55,7 +55,7 @@ def descriptors_figures(dataset: Dataset) -> dict[str, Any]:
             scenes = held_out(dataset, readable).scenes
             n_pairs = max(PAIRS_EVALUATED // min(len(scenes), SCENES_EVALUATED), 1)
             some = scenes[:SCENES_EVALUATED] if len(scenes) > SCENES_EVALUATED else ()
-            found = evaluated_descriptor(dataset, readable, scenes=some, pairs=n_pairs, sweep=True)
+            found = evaluated_descriptor(dataset, readable, DescriptorSettings(scenes=some, pairs=n_pairs, sweep=True))
     except UNREADABLE as error:
         errors["not measured"] = what_is_wrong(error)
     return {**found, **({"errors": errors} if errors else {})}

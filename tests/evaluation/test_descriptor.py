@@ -12,7 +12,7 @@ from bask_data.cli.app import app
 from bask_data.core.geometry import in_image, invert_rigid, project, transform, unproject
 from bask_data.dataset import Dataset, Splits
 from bask_data.errors import BadData, UsageError
-from bask_data.evaluation import descriptor, evaluated_descriptor
+from bask_data.evaluation import DescriptorSettings, descriptor, evaluated_descriptor
 from bask_data.evaluation.frames import Frame, Frames
 from bask_data.evaluation.held_out import HeldOut, held_out
 from bask_data.evaluation.matches import BINS, alike_pairs, candidate_pairs, spread_pairs
@@ -170,7 +170,7 @@ def test_pairs_to_be_turned_are_alike_already(candidates: list) -> None:
 def found(shared: Dataset) -> dict:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(descriptor, "_network", lambda dataset, variant: NETWORKS[variant])
-        return evaluated_descriptor(shared, ("main", "blind"), pairs=24, sweep=True, keypoints=10)
+        return evaluated_descriptor(shared, ("main", "blind"), DescriptorSettings(pairs=24, sweep=True, keypoints=10))
 
 
 def test_a_network_that_knows_every_point_finds_it_at_any_scale_rotation_and_occlusion(found: dict) -> None:
@@ -233,7 +233,8 @@ def test_variants_are_held_against_the_same_matches(found: dict) -> None:
 
 
 def test_the_same_seed_gives_the_same_figures_and_another_one_other_matches(shared: Dataset) -> None:
-    one, same, other = (evaluated_descriptor(shared, pairs=2, sweep=True, seed=seed) for seed in (1, 1, 2))
+    settings = [DescriptorSettings(pairs=2, sweep=True, seed=seed) for seed in (1, 1, 2)]
+    one, same, other = (evaluated_descriptor(shared, settings=each) for each in settings)
     assert one == same
     assert one["variants"]["main"]["all"] != other["variants"]["main"]["all"]
 
@@ -309,7 +310,7 @@ def test_keypoints_are_looked_for_on_other_instances_at_the_same_share_of_their_
         "same": described_dataset(tmp_path / "same", {"x": boxes(7)}),
         "larger": described_dataset(tmp_path / "larger", {"x": boxes(8, larger), "y": boxes(9, larger)}),
     }
-    found = evaluated_descriptor(shared, pairs=1, keypoints=12, against=others)
+    found = evaluated_descriptor(shared, settings=DescriptorSettings(pairs=1, keypoints=12), against=others)
     [row] = found["variants"]["main"]["keypoints"].values()
     assert list(row) == ["training", "unseen view", "same", "larger"]
     assert row["same"]["mean"] < 0.015
@@ -322,7 +323,7 @@ def test_keypoints_are_looked_for_on_other_instances_at_the_same_share_of_their_
 def test_only_truth_that_knows_where_objects_are_is_searched_for_keypoints(shared: Dataset, tmp_path: Path) -> None:
     other = Dataset.create(tmp_path / "empty")
     with pytest.raises(UsageError, match="--against: expected scenes whose truth knows transforms, got none"):
-        evaluated_descriptor(shared, pairs=1, keypoints=4, against={"other": other})
+        evaluated_descriptor(shared, settings=DescriptorSettings(pairs=1, keypoints=4), against={"other": other})
 
 
 # What is held out -----------------------------------------------------------------------------------------------------
@@ -366,7 +367,7 @@ def test_scenes_that_a_network_learned_from_before_the_split_changed_are_not_hel
 def test_keypoints_of_held_out_frames_are_told_apart_from_those_trained_on(tmp_path: Path) -> None:
     dataset = described_dataset(tmp_path / "d", {"a": boxes(0)})
     publish_network(dataset, held_out=0.25)
-    found = evaluated_descriptor(dataset, pairs=4, keypoints=6)
+    found = evaluated_descriptor(dataset, settings=DescriptorSettings(pairs=4, keypoints=6))
     [row] = found["variants"]["main"]["keypoints"].values()
     # The view they were picked in is one of the nine.
     assert [told["views"] for told in row.values()] == [8, 3]
@@ -388,7 +389,7 @@ def test_what_is_missing_is_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize("alpha", [-1.0, float("inf"), float("nan")])
 def test_what_is_no_temperature_is_refused(shared: Dataset, alpha: float) -> None:
     with pytest.raises(UsageError, match="--alpha: expected a finite number, 0 or more, got"):
-        evaluated_descriptor(shared, alpha=alpha)
+        evaluated_descriptor(shared, settings=DescriptorSettings(alpha=alpha))
 
 
 def test_a_network_that_does_not_load_is_told(shared: Dataset) -> None:
@@ -534,8 +535,8 @@ def test_the_command_prints_tables_for_people_and_everything_for_scripts(
 ) -> None:
     asked = {}
 
-    def evaluated(dataset: Dataset, variants: list[str], **options: object) -> dict:
-        asked.update({"root": dataset.root, "variants": variants, **options})
+    def evaluated(dataset: Dataset, variants: list[str], settings: DescriptorSettings, **options: object) -> dict:
+        asked.update({"root": dataset.root, "variants": variants, "settings": settings, **options})
         return found
 
     monkeypatch.setattr(evaluation, "evaluated_descriptor", evaluated)
@@ -547,12 +548,7 @@ def test_the_command_prints_tables_for_people_and_everything_for_scripts(
     assert asked.pop("against")["there"].root == asked.pop("root") == shared.root
     assert asked == {
         "variants": ["main", "blind"],
-        "scenes": ["c"],
-        "pairs": 24,
-        "sweep": False,
-        "keypoints": 10,
-        "alpha": 4.0,
-        "seed": 3,
+        "settings": DescriptorSettings(scenes=["c"], pairs=24, sweep=False, keypoints=10, alpha=4.0, seed=3),
     }
     shown = CliRunner().invoke(app, command[:-1])
     told = found["variants"]["blind"]

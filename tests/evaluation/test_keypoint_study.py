@@ -14,8 +14,9 @@ from bask_data.core.geometry import invert_rigid, project, transform
 from bask_data.dataset import Dataset, Splits
 from bask_data.engine import make, plan
 from bask_data.errors import BadData, UsageError
-from bask_data.evaluation import evaluated_keypoints
-from bask_data.evaluation.keypoint_study import FILE, _told_settings, is_current, methods_of, save_study
+from bask_data.evaluation import StudySettings, evaluated_keypoints
+from bask_data.evaluation.keypoint_study import FILE, is_current, plain_settings, save_study
+from bask_data.evaluation.study_tracks import methods_of
 from bask_data.evaluation.tables import keypoint_tables
 from bask_data.evaluation.tracked_points import ROUND, points_to_track, true_tracks
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Scan, Truth
@@ -120,7 +121,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 def found(dataset: Dataset) -> dict:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(DescriptorNet, "network", lambda self: NETWORKS[self.path.name])
-        return evaluated_keypoints(dataset, ("main", "blind"), n_keypoints=6)
+        return evaluated_keypoints(dataset, ("main", "blind"), StudySettings(n_keypoints=6))
 
 
 def test_with_a_perfect_network_every_filter_is_right_while_it_sees(found: dict) -> None:
@@ -185,7 +186,7 @@ def test_phases_and_figures_are_those_of_the_true_places(dataset: Dataset, found
 
 @pytest.mark.parametrize("name", ["default", "paper", "code"])
 def test_settings_without_a_limit_are_told_as_null(name: str) -> None:
-    told = [_told_settings(method.settings) for method in methods_of({"main": 1.0}, name)]
+    told = [plain_settings(method.settings) for method in methods_of({"main": 1.0}, name)]
     json.dumps(told, allow_nan=False)
     assert told[-1]["gripper_reach"] == (0.15 if name == "default" else None)
 
@@ -266,7 +267,7 @@ def test_examples_have_the_truth_and_each_methods_pixel(found: dict) -> None:
 
 
 def test_the_same_study_has_the_same_figures_and_another_seed_other_points(dataset: Dataset, found: dict) -> None:
-    again = evaluated_keypoints(dataset, ("main",), demonstrations=["demo-a"], n_keypoints=6)
+    again = evaluated_keypoints(dataset, ("main",), StudySettings(demonstrations=["demo-a"], n_keypoints=6))
     alone, both = (one["groups"]["carton+tin"]["methods"]["main: particle"] for one in (again, found))
     assert alone["by_demonstration"]["demo-a"] == both["by_demonstration"]["demo-a"]
     assert points_to_track(dataset, ["tin"], 3, "", 0) == points_to_track(dataset, ["tin"], 3, "", 0)
@@ -301,7 +302,9 @@ def test_what_is_studied_is_what_encode_makes(dataset: Dataset) -> None:
     assert make(task).status == "made"
     track = KeypointTrack(dataset.path(KeypointTrack, "demo-a"))
     error = np.linalg.norm(track.mean - true_tracks(dataset, picks, "demo-a"), axis=2)
-    told = evaluated_keypoints(dataset, demonstrations=["demo-a"], reference="main")["groups"]["carton+tin"]
+    told = evaluated_keypoints(dataset, settings=StudySettings(demonstrations=["demo-a"], reference="main"))["groups"][
+        "carton+tin"
+    ]
     studied = told["methods"]["main: particle"]["by_keypoint"]
     assert [one["mean"] for one in studied.values()] == pytest.approx(error.mean(axis=0), abs=1e-6)
 
@@ -317,8 +320,10 @@ def test_what_is_studied_is_what_encode_makes(dataset: Dataset) -> None:
     ],
 )
 def test_what_is_not_there_is_said_with_what_is(dataset: Dataset, asked: dict, message: str) -> None:
+    variants = asked.get("variants", ["main"])
+    settings = StudySettings(**{name: value for name, value in asked.items() if name != "variants"})
     with pytest.raises(UsageError, match=message):
-        evaluated_keypoints(dataset, **{"variants": ["main"], **asked})
+        evaluated_keypoints(dataset, variants, settings)
 
 
 def test_without_truth_or_a_scan_to_pick_in_there_is_no_study(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from bask_data.dataset import Dataset, Variant
 from bask_data.drawing.plots import Curve, line_plot
-from bask_data.evaluation import evaluated_descriptor
+from bask_data.evaluation import DescriptorSettings, evaluated_descriptor
 from bask_data.kinds import Correspondences, DescriptorNet
 from bask_data.report import evaluated, measure, summarise, write_report
 from bask_data.report.words import number, percent
@@ -41,12 +41,10 @@ def section(html: str, name: str) -> str:
 def test_networks_are_measured_as_the_command_does_and_only_once_for_page_and_json(
     dataset, found, tmp_path, monkeypatch
 ):
-    told = evaluated_descriptor(dataset, ("main", "florence"), pairs=48, sweep=True)
+    told = evaluated_descriptor(dataset, ("main", "florence"), DescriptorSettings(pairs=48, sweep=True))
     assert found == json.loads(json.dumps(told))
     asked: list[object] = []
-    monkeypatch.setattr(
-        "bask_data.evaluation.network_figures.evaluated_descriptor", lambda *a, **b: asked.append(b) or told
-    )
+    monkeypatch.setattr(MEASURED_BY, lambda *a: asked.append(a) or told)
     measured = measure(dataset)
     html = write_report(dataset, tmp_path / "r.html", measured).read_text(encoding="utf-8")
     summarise(dataset, measured)
@@ -69,17 +67,15 @@ def test_networks_are_measured_as_the_command_does_and_only_once_for_page_and_js
 
 
 def test_scenes_share_the_pairs_and_only_some_of_many_are_measured(dataset, monkeypatch):
-    asked: list[dict[str, Any]] = []
-    monkeypatch.setattr(
-        "bask_data.evaluation.network_figures.evaluated_descriptor", lambda *a, **b: asked.append(b) or {}
-    )
+    asked: list[DescriptorSettings] = []
+    monkeypatch.setattr(MEASURED_BY, lambda *a: asked.append(a[2]) or {})
     for n in (4, 9):
         names = tuple(f"scene-{i}" for i in range(n))
         monkeypatch.setattr(
             "bask_data.evaluation.network_figures.held_out", lambda *a, names=names: type("", (), {"scenes": names})
         )
         measure(dataset).descriptors()
-    assert [(len(one["scenes"]), one["pairs"]) for one in asked] == [(0, 12), (8, 6)]
+    assert [(len(one.scenes), one.pairs) for one in asked] == [(0, 12), (8, 6)]
 
 
 def test_bins_without_matches_and_groups_of_one_are_left_out():

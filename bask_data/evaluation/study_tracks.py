@@ -1,0 +1,218 @@
+"""Demonstrations tracked in all ways that a study of keypoints compares: one pass over the frames of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bask_data.dataset import Dataset
+from bask_data.evaluation.tracked_points import true_tracks, whole
+from bask_data.kinds import Camera, Demonstration, Pick, ReferenceKeypoints, Truth
+from bask_data.kinds.places import true_pixels
+from bask_data.progress import progress
+from bask_data.stages.encode import cameras_of, grippers_of
+from bask_data.tracker import KeypointTracker, TrackedKeypoints, moment_of
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from bask_data.core.filters.table import FilterSettings, SettingsName
+    from bask_data.core.keypoint_scores import Sighting
+    from bask_data.nn.network import DescriptorNetwork
+
+HISTOGRAM_EVERY = 5
+"""One of so many frames is counted in the histograms of distances: neighbours tell the same."""
+NEAR_SHARE = 0.02
+"""Share of the image's diagonal within which a pixel shows a keypoint's surroundings."""
+MAP_SIZE = 64
+"""Pixels of an example's distance map."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to track: whose network, and which belief."""
+
+    variant: str
+    belief: str
+    settings: FilterSettings
+
+    @property
+    def name(self) -> str:
+        return f"{self.variant}: {self.belief}"
+
+
+def methods_of(units: Mapping[str, float], settings: SettingsName) -> list[Method]:
+    """What is compared: all beliefs with the first network, that of single frames with the others.
+
+    Args:
+        units: by variant, what its network's distances were divided by when it was trained, in units of what filters
+            divide them by. The temperature is made for distances as they were trained: else a network whose distances
+            are small would be said to know nothing.
+        settings: preset of all filters.
+    """
+    from bask_data.core.filters.table import FILTERS, alpha_of_one_frame, filter_named, settings_named
+
+    first, *others = units
+    found = []
+    for name in FILTERS:
+        if not filter_named(name).by_single_frames:
+            found.append(Method(first, name, settings_named(name, settings)))
+            continue
+        alpha = alpha_of_one_frame(name, settings) or 1.0
+        temperatures = {variant: settings_named(name, settings, alpha=alpha / units[variant]) for variant in units}
+        none = settings_named(name, settings, alpha=1.0 / units[first])
+        found += [
+            *(Method(variant, name, temperatures[variant]) for variant in reversed(others)),
+            Method(first, f"{name}, no temperature", none),
+            Method(first, name, temperatures[first]),
+        ]
+    return found
+
+
+@dataclass
+class Tracked:
+    """A demonstration tracked in all ways.
+
+    Attributes:
+        places: (t, k, 3), metres, world: where the points truly are; NaN where that is not known.
+        uv: (c, t, k, 2) pixels of these; NaN behind the camera.
+        mean, mode: by method (t, k, 3), metres, world.
+        pixel: by method (t, c, k, 2) of the mean.
+        counts: by variant and group of pixels, their histogram of descriptor distances.
+        first_maps: by variant, the first camera's distance maps of the first frame (k, h, w), coarse.
+    """
+
+    name: str
+    cameras: list[str]
+    places: np.ndarray
+    seen: Sighting
+    uv: np.ndarray
+    mean: dict[str, np.ndarray] = field(default_factory=dict)
+    mode: dict[str, np.ndarray] = field(default_factory=dict)
+    pixel: dict[str, np.ndarray] = field(default_factory=dict)
+    counts: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
+    first_maps: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+def references_of(
+    dataset: Dataset, network: DescriptorNetwork, picks: Sequence[Pick], folder: Path
+) -> ReferenceKeypoints:
+    """The points as a network describes them where they were picked."""
+    import numpy as np
+
+    found = []
+    for pick in picks:
+        picked_in = whole(dataset, pick.recording)
+        assert picked_in is not None, "points are picked where truth is"
+        image = picked_in.recording.camera(pick.camera).rgb(pick.frame)
+        uv = np.array([[pick.u, pick.v]], dtype=np.float32)
+        found.append(network.descriptors_at(image, uv)[0].cpu().numpy())
+    ReferenceKeypoints.write(folder, descriptors=np.stack(found), picks=list(picks))
+    return ReferenceKeypoints(folder)
+
+
+def tracked_in(
+    dataset: Dataset,
+    name: str,
+    asked: Sequence[str],
+    picks: Sequence[Pick],
+    networks: Mapping[str, DescriptorNetwork],
+    references: Mapping[str, ReferenceKeypoints],
+    methods: Sequence[Method],
+    seed: int,
+) -> Tracked:
+    """One pass over a demonstration's frames, each described once by each network and tracked as `encode` does."""
+    import numpy as np
+
+    one = whole(dataset, name)
+    assert one is not None, "asked only where there is truth"
+    demonstration = one.recording
+    assert isinstance(demonstration, Demonstration), "asked only of demonstrations"
+    cameras = cameras_of(demonstration, tuple(asked))
+    tracked = _with_truth(dataset, name, cameras, picks, one.truth)
+    trackers = {
+        method.name: KeypointTracker(
+            networks[method.variant],
+            references[method.variant],
+            method.settings,
+            seed,
+            cameras=tracked.cameras,
+        )
+        for method in methods
+    }
+    grippers, found = (
+        grippers_of(demonstration, len(tracked.places)),
+        {name: list[TrackedKeypoints]() for name in trackers},
+    )
+    for i_frame in progress(range(len(tracked.places)), f"tracking in {name}"):
+        moment = moment_of(cameras, i_frame)
+        for variant in networks:
+            mine = [method.name for method in methods if method.variant == variant]
+            look = trackers[mine[0]].look(*moment)
+            _count(tracked, variant, one.truth, look.observations[cameras[0].name].distance, i_frame)
+            for method in mine:
+                found[method].append(trackers[method].update(look, None if grippers is None else grippers[i_frame]))
+    for method, keypoints in found.items():
+        tracked.mean[method] = np.stack([one.mean for one in keypoints])
+        tracked.mode[method] = np.stack([one.mode for one in keypoints])
+        tracked.pixel[method] = np.stack([np.stack([*one.pixel.values()]) for one in keypoints])
+    return tracked
+
+
+def _with_truth(dataset: Dataset, name: str, cameras: Sequence[Camera], picks: Sequence[Pick], truth: Truth) -> Tracked:
+    """A demonstration that nothing is tracked in yet, and what its cameras see of the points."""
+    import numpy as np
+
+    from bask_data.core.keypoint_scores import sighting
+
+    places = true_tracks(dataset, picks, name)
+    found = [
+        [true_pixels(point, camera, truth, i) for i, point in enumerate(places[: camera.n_frames])]
+        for camera in cameras
+    ]
+    inside, hidden = (
+        np.array([[getattr(frame, what) for frame in frames] for frames in found]) for what in ("inside", "hidden")
+    )
+    uv = np.array([[frame.uv for frame in frames] for frames in found])
+    return Tracked(name, [camera.name for camera in cameras], places, sighting(inside, hidden, places), uv)
+
+
+def _coarse(maps: np.ndarray) -> np.ndarray:
+    """Maps (k, h, w) at `MAP_SIZE` pixels of width, or as they are."""
+    import cv2
+    import numpy as np
+
+    height, width = maps.shape[1:]
+    if width <= MAP_SIZE:
+        return maps
+    size = (MAP_SIZE, max(round(height * MAP_SIZE / width), 1))
+    return np.stack([cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in maps])
+
+
+def _count(tracked: Tracked, variant: str, truth: Truth, distance: np.ndarray, i_frame: int) -> None:
+    """Add the first camera's distance maps (k, h, w) of the keypoints it shows to the histograms: pixels near the
+    keypoint, of other objects and of none. Keep the first frame's."""
+    import numpy as np
+
+    from bask_data.core.geometry import pixel_grid, scale_pixels
+    from bask_data.core.keypoint_scores import z_counts, z_edges
+    from bask_data.kinds.truth import ROBOT
+
+    if i_frame == 0:
+        tracked.first_maps[variant] = _coarse(distance)
+    if i_frame % HISTOGRAM_EVERY:
+        return
+    labels = truth.instance(tracked.cameras[0], i_frame)
+    uv = scale_pixels(tracked.uv[0, i_frame], labels.shape, distance.shape[1:])
+    shown = np.flatnonzero(tracked.seen.visible[i_frame] & np.isfinite(uv).all(axis=1))
+    height, width = distance.shape[1:]
+    away = np.linalg.norm(pixel_grid(height, width)[None] - uv[shown, None, None], axis=3)
+    near = away <= NEAR_SHARE * np.hypot(height, width)
+    v, u = (np.arange(n) * size // n for n, size in zip((height, width), labels.shape, strict=True))
+    on_object = np.isin(labels[np.ix_(v, u)], (0, ROBOT), invert=True)[None] & ~near
+    groups = {"near": near, "objects": on_object, "background": ~near & ~on_object}
+    counts = tracked.counts.setdefault(variant, {})
+    for group, found in z_counts(distance[shown], groups, z_edges()).items():
+        counts[group] = counts.get(group, 0) + found
