@@ -14,14 +14,17 @@ import numpy as np
 from bask_data.core.geometry import scale_pixels
 
 WHITE = (255, 255, 255)
+"""Of true places and outlines: no palette colour is white."""
 INVALID = (128, 128, 128)
 """Where no depth was measured."""
 HATCH, HATCH_PX = (24, 24, 24), 6
+"""Colour of the hatching over what is inferred, and pixels from one line to the next."""
 RING_PX = 7.0
 """Radius of the ring around a best match."""
-N_COLOURS = 255
+N_LABEL_COLOURS = 255
 """Labels beyond this, which no image of labels holds, begin again with the first colour."""
 _SUBPIXEL_BITS = 4
+"""Fraction bits of OpenCV's fixed-point coordinates: a sixteenth of a pixel, below what is seen."""
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 Colour = tuple[int, int, int]
 
@@ -33,7 +36,7 @@ def palette(n: int) -> list[Colour]:
 
 def instance_colour(i: int) -> Colour:
     """The colour of an object by its id, 1 or more."""
-    return _colour((i - 1) % N_COLOURS)
+    return _colour((i - 1) % N_LABEL_COLOURS)
 
 
 def _colour(i: int) -> Colour:
@@ -96,8 +99,8 @@ def instance_colours(vertex_instance: np.ndarray, vertex_colours: np.ndarray) ->
     grey = vertex_colours.astype(np.float32).mean(axis=1, keepdims=True)
     result = np.repeat(70 + 0.4 * grey, 3, axis=1)
     on_object = vertex_instance > 0
-    table = np.array(palette(N_COLOURS), np.float32)
-    result[on_object] = table[(vertex_instance[on_object] - 1) % N_COLOURS]
+    table = np.array(palette(N_LABEL_COLOURS), np.float32)
+    result[on_object] = table[(vertex_instance[on_object] - 1) % N_LABEL_COLOURS]
     return result.astype(np.uint8)
 
 

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from bask_data.nn.network import DescriptorNetwork
 
 TRAINING, UNSEEN_VIEW = "training", "unseen view"
-MOST_FRAMES = 20
+MOST_VIEWS = 20
 """Frames of a scene in which keypoints are looked for, evenly over time."""
-N_SURFACE = 2000
+N_SHAPE_POINTS = 2000
 """Points of an object's surface taken from a frame."""
 SAME_EXTENTS = 0.004
 """Two bodies of a name are one where no side of their boxes is off by more metres. What is not seen of one makes it
@@ -146,7 +146,7 @@ def _picked(dataset: Dataset, scenes: Sequence[str], end: float, n: int, seed: i
     from bask_data.core.local_warp import surface_tangents
 
     rng, frames = np.random.default_rng([seed, 3]), Frames(dataset, scenes[0])
-    frame = max(frames.between(0.0, end, MOST_FRAMES), key=lambda one: _shown(frames, one))
+    frame = max(frames.between(0.0, end, MOST_VIEWS), key=lambda one: _shown(frames, one))
     labels, depth, world = frames.labels(frame), frames.depth(frame), frames.world_from_camera(frame)
     uv, label = drawn_pixels(frames, frame, depth > 0, n, rng)
     points = transform(world, surface_tangents(uv, depth, labels, frames.K(frame.camera))[0])
@@ -187,9 +187,9 @@ def _shapes(dataset: Dataset, scenes: Sequence[str]) -> dict[str, np.ndarray]:
     for scene in scenes:
         frames = Frames(dataset, scene)
         poses = _world_from_objects(frames)
-        for frame in frames.between(0.0, 1.0, MOST_FRAMES):
+        for frame in frames.between(0.0, 1.0, MOST_VIEWS):
             for label, name in frames.objects.items():
-                points = frames.points(frame, label, N_SURFACE)
+                points = frames.points(frame, label, N_SHAPE_POINTS)
                 parts.setdefault(name, []).append(transform(invert_rigid(poses[label]), points))
     return {name: np.concatenate(points) for name, points in parts.items()}
 
@@ -211,7 +211,7 @@ def _places(
         labels = tuple(label_of(frames.truth, name, 0) for name in keypoints.objects)
         # Scenes stand still: where their points are in one frame, they are in all.
         points_world = carried(ObjectPoints(labels, keypoints.objects, points), frames.truth, 1)[0]
-        chosen = frames.between(*span, MOST_FRAMES)
+        chosen = frames.between(*span, MOST_VIEWS)
         own = keypoints.frame if frames.scene == keypoints.scene and not is_other else None
         places += [_place(frames, frame, labels, points_world) for frame in chosen if frame != own]
     return places

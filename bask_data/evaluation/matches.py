@@ -17,22 +17,25 @@ if TYPE_CHECKING:
 
 N_QUERIES = 24
 """Pixels of a frame that are looked for in others, shared out over its objects; matches taken of a pair."""
-MOST_FRAMES = 60
+MOST_MATCHED_FRAMES = 60
 """Frames of a scene that are looked at."""
 LEAST_MATCHES = 6
 """Pairs that share less are left out."""
-TOLERANCE = (0.005, 0.01)
-"""A point is seen where the depth is within a + b z metres of its own."""
-SMOOTH = (0.002, 0.002)
+SEEN_TOLERANCE = (0.005, 0.01)
+"""A point is seen where the depth is within a + b z metres of its own. With exact depth only rounding to a pixel on an
+oblique surface is to be allowed for; what hides an object is farther in front of it."""
+SMOOTH_TOLERANCE = (0.002, 0.002)
 """Depths of neighbouring pixels show one surface where they differ by no more than its slope and a + b z metres."""
-MARGIN = 2
+EDGE_MARGIN_PX = 2
 """Pixels that matches stay away from the edges of objects and of surfaces, as those do that networks are trained on."""
-N_SURFACE = 1500
+N_HIDEABLE_POINTS = 1500
 """Points of an object's surface taken from a frame, to tell what of it is hidden in others."""
 SCALES = (1.25, 1.75)
+"""Edges of the bins of changes of scale, as factors: neighbouring views of a path, up to most of an octave, more."""
 ROTATIONS_DEG = (30.0, 60.0, 90.0)
+"""Edges of the bins of rotations in the image, degrees; training turns views by whatever angle."""
 VISIBLE = (0.6, 0.9)
-"""Edges of the bins that matches are told apart by: change of scale, degrees of turn, visible share of the object."""
+"""Edges of the bins of visible shares of the object. None of these edges changes a figure over all matches."""
 BINS = {
     "scale": ("<1.25", "1.25-1.75", ">=1.75"),
     "rotation": ("0-30", "30-60", "60-90", ">=90"),
@@ -90,7 +93,7 @@ def candidate_pairs(dataset: Dataset, frames: Frames, held_out: HeldOut, seed: i
     import numpy as np
 
     rng = np.random.default_rng([seed, 0, *frames.scene.encode()])
-    chosen = held_out.frames(frames, MOST_FRAMES)
+    chosen = held_out.frames(frames, MOST_MATCHED_FRAMES)
     if frames.truth is not None:
         return _by_truth(frames, chosen, rng)
     return _by_correspondences(dataset, frames, chosen, rng)
@@ -188,7 +191,7 @@ def shows(frames: Frames, frame: Frame, uv: np.ndarray, z: np.ndarray, label: np
 
     labels = frames.labels(frame)
     off = np.abs(scores.true_depth(frames.depth(frame), labels, uv) - z)
-    return (scores.label_at(labels, uv) == label) & (off <= TOLERANCE[0] + TOLERANCE[1] * z)
+    return (scores.label_at(labels, uv) == label) & (off <= SEEN_TOLERANCE[0] + SEEN_TOLERANCE[1] * z)
 
 
 def _clear(frames: Frames, frame: Frame) -> np.ndarray:
@@ -200,7 +203,8 @@ def _clear(frames: Frames, frame: Frame) -> np.ndarray:
     from bask_data.core.correspondences.matchable import matchable_view
 
     K, world_from_camera = frames.K(frame.camera), frames.world_from_camera(frame)
-    known = matchable_view(frames.depth(frame), frames.labels(frame), K, world_from_camera, None, SMOOTH, MARGIN)
+    depth, labels = frames.depth(frame), frames.labels(frame)
+    known = matchable_view(depth, labels, K, world_from_camera, None, SMOOTH_TOLERANCE, EDGE_MARGIN_PX)
     return known.sure > 0
 
 
@@ -239,7 +243,7 @@ def _surfaces(frames: Frames, chosen: list[Frame]) -> dict[int, np.ndarray]:
     import numpy as np
 
     return {
-        label: np.concatenate([np.zeros((0, 3)), *(frames.points(frame, label, N_SURFACE) for frame in chosen)])
+        label: np.concatenate([np.zeros((0, 3)), *(frames.points(frame, label, N_HIDEABLE_POINTS) for frame in chosen)])
         for label in frames.objects
     }
 

@@ -19,7 +19,7 @@ N_POINTS = 16
 """Points chosen where no reference keypoints are there."""
 N_LOOKED_AT = 24
 """Frames of a scene among which the one with most to pick from is looked for."""
-BORDERS = (0.03, 0.015, 0.0)
+INNER_BORDERS = (0.03, 0.015, 0.0)
 """Distances of such points from a mask's edge, as shares of the image's height; the next where an object is slim."""
 SEEN, BEHIND, OUTSIDE, UNKNOWN = "seen", "hidden", "out of view", "unknown"
 
@@ -51,7 +51,7 @@ def _inner_points(dataset: Dataset, scan: Scan, masks: VisibleMasks) -> list[Pic
     for order, i in enumerate(shown):
         n = N_POINTS // len(shown) + (order < N_POINTS % len(shown))
         uv, rng = np.zeros((0, 2)), np.random.default_rng(i)
-        for border in BORDERS:
+        for border in INNER_BORDERS:
             if len(uv) < n:
                 uv = inner_pixels(instance == i, depth, border * camera.height, depth.size, rng)
         if not len(uv) or not n:

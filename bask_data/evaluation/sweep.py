@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 ZOOMS = {"1/2": 0.5, "1": 1.0, "2": 2.0}
 TURNS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0)
+"""Rotations of a view, degrees: the other half is its mirror image."""
 CONDITIONS = {"zoom": tuple(ZOOMS), "turn": tuple(f"{angle:g}" for angle in TURNS_DEG)}
 """How much larger the target is than the reference, and degrees by which it is turned."""
 

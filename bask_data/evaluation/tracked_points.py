@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 ROUND = ("lid",)
 """Objects that look the same however they are turned about their own z axis: the simulator's one."""
-BORDERS = (0.015, 0.0)
+TRACKED_BORDERS = (0.015, 0.0)
 """Distances of points from an object's edge, as shares of the image's height; the next where it is slim."""
 N_LOOKED_AT = 24
 """Frames of each camera of a scan among which the one that shows most of the objects is looked for."""
-N_CANDIDATES = 400
+N_POINT_CANDIDATES = 400
 """Pixels of an object that its points are chosen from."""
 
 
@@ -186,10 +186,10 @@ def _spread_picks(objects: Sequence[str], one: Whole, camera: Camera, i_frame: i
     for order, name in enumerate(objects):
         wanted = n // len(objects) + (order < n % len(objects))
         mask, uv = labels == label_of(one.truth, name, -1), np.zeros((0, 2))
-        for border in BORDERS:
+        for border in TRACKED_BORDERS:
             if len(uv) < wanted:
                 rng = np.random.default_rng([seed, order])
-                uv = inner_pixels(mask, depth, border * camera.height, N_CANDIDATES, rng)
+                uv = inner_pixels(mask, depth, border * camera.height, N_POINT_CANDIDATES, rng)
         if not wanted or not len(uv):
             continue
         column, row = uv.astype(int).T

@@ -21,8 +21,11 @@ from bask_data.kinds import DescriptorNet, KeypointTrack, ReferenceKeypoints
 N_ITEMS = 3
 """Scenes, demonstrations and variants shown; more would make a page nobody loads."""
 N_ROWS = 32
+"""Of a table, at most; what is left out is counted below it."""
 N_CAMERAS = 3
+"""Cameras of an item that are shown; what is left out is counted."""
 TILE, PICTURE, WIDE = 320, 480, 1100
+"""Pixels of width: of a contact sheet's tile, of a picture to look into, of two views beside each other on a page."""
 Part = dict[str, Any]
 
 

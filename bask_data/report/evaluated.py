@@ -30,7 +30,7 @@ GROUPS = {
 SPLITS = ("scale", "rotation", "occlusion")
 SHADES = ("#3f9f74", "#4a90d0", "#d08020", "#c8504a")
 """Of bins."""
-NEAR = 0.3
+END_OF_SPLIT_CURVES = 0.3
 """Where curves that are told apart end, share of the image's diagonal: the same for all of them."""
 NEARLY_ALL = 0.995
 """Share of the matches at which a cumulative curve has no more to tell."""
@@ -109,7 +109,7 @@ def _split_plots(variants: Mapping[str, Any]) -> list[Part]:
                 curves,
                 x_label="share of the diagonal",
                 y_label="share of the matches",
-                x_range=(0, NEAR),
+                x_range=(0, END_OF_SPLIT_CURVES),
                 y_range=(0, 1.02),
             )
             legend = [

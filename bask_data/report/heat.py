@@ -25,12 +25,14 @@ from bask_data.report.chosen import Chosen, Part, per_item
 
 N_SCANS = 3
 """Scans whose points are looked for: the first ones of each set of objects."""
-N_POINTS, N_POINTS_OF_MANY = 5, 2
+N_HEAT_POINTS, N_HEAT_POINTS_OF_MANY = 5, 2
 """Points looked for, of one scan and of each of several; each has a row for every network."""
-N_FRAMES = 4
+N_HEAT_FRAMES = 4
+"""Columns of the table of heat maps, at most."""
 N_LOOKED_AT = 24
 """Frames of each camera among which those that show the points are looked for."""
-TILE, CROP = 280, 200
+HEAT_TILE, CROP = 280, 200
+"""Pixels of width: of a heat map, and of the place a point was picked in."""
 
 
 def heat_maps(chosen: Chosen) -> list[Part]:
@@ -73,7 +75,7 @@ def _searches(chosen: Chosen, picks: Sequence[Pick], described: np.ndarray) -> d
     Points of several scans show other objects each, so each need a held-out scene of their own, and are fewer.
     """
     scans = list(dict.fromkeys(pick.recording for pick in picks))[:N_SCANS]
-    n_points = N_POINTS if len(scans) == 1 else N_POINTS_OF_MANY
+    n_points = N_HEAT_POINTS if len(scans) == 1 else N_HEAT_POINTS_OF_MANY
     wanted = [(_held_out_scene(chosen, picks, scan, len(scans) == 1), "a held-out scene", scan) for scan in scans]
     if len(scans) == 1 or not any(name for name, _, _ in wanted):
         wanted += [(scan, "the scan they were picked in", scan) for scan in scans]
@@ -100,7 +102,7 @@ def _held_out_scene(chosen: Chosen, picks: Sequence[Pick], scan: str, is_only: b
 
 def _heat_part(chosen: Chosen, search: _Search, picks: Sequence[Pick], finders: dict[str, Finder]) -> Part:
     recording, places, indices = search.recording, search.places, search.indices
-    n_frames = max(min(chosen.n_frames // 2, N_FRAMES), 1)
+    n_frames = max(min(chosen.n_frames // 2, N_HEAT_FRAMES), 1)
     camera, frames = _frames_that_show(recording, places, picks, indices, n_frames)
     colours = draw.palette(len(picks))
     tiles: dict[tuple[int, str], list[Part]] = {(i, variant): [] for i in indices for variant in finders}
@@ -163,7 +165,7 @@ def _heat_tile(
 ) -> Part:
     state = truth.states[i]
     mark = draw.Mark(i + 1, sight.best[row], colour, truth=truth.uv[i] if state in (SEEN, BEHIND) else None)
-    uri = draw.jpeg_uri(draw.heat_picture(rgb, sight.heat[row], [mark], TILE, truth_seen=state == SEEN))
+    uri = draw.jpeg_uri(draw.heat_picture(rgb, sight.heat[row], [mark], HEAT_TILE, truth_seen=state == SEEN))
     error = float(np.linalg.norm(sight.best[row] - truth.uv[i]))
     text = {SEEN: f"{error:.1f} px off", UNKNOWN: ""}.get(state, state)
     nearest = f"nearest {float(sight.nearest[row]):.2f}"

@@ -18,17 +18,17 @@ from bask_data.report.overview import overview
 from bask_data.report.words import FILTERS
 
 TEMPLATE = "page.html.j2"
-MOST_BYTES = 8_000_000
+MOST_PAGE_BYTES = 8_000_000
 """A larger page cannot be sent around."""
-N_FRAMES = (8, 4, 2)
-"""Frames of each camera: what is tried, in this order, to stay below `MOST_BYTES`."""
+FRAMES_TRIED = (8, 4, 2)
+"""Frames of each camera: what is tried, in this order, to stay below `MOST_PAGE_BYTES`."""
 
 
 def render(dataset: Dataset, measured: Measured) -> str:
-    """The page as text, with as many frames of each camera as fit into `MOST_BYTES`."""
-    for n_frames in N_FRAMES:
+    """The page as text, with as many frames of each camera as fit into `MOST_PAGE_BYTES`."""
+    for n_frames in FRAMES_TRIED:
         html = _rendered(dataset, measured, n_frames)
-        if len(html) <= MOST_BYTES:
+        if len(html) <= MOST_PAGE_BYTES:
             break
     return html
 

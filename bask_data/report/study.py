@@ -25,10 +25,12 @@ LABELS = {
     "apart": "Distance between mean and mode, cm",
     "error": "Distance to the truth, cm",
 }
-TILE = 256
-ALPHA = 4.0
-"""The paper's temperature, p(z) = exp(-4 z)."""
+STUDY_TILE = 256
+"""Half the pixels of width of the picture of reference positions."""
+PAPER_ALPHA = 4.0
+"""The paper's temperature, p(z) = exp(-4 z), von Hartz et al. 2023, Sec. III-B: drawn solid, others dashed."""
 DPI = 150
+"""Pixels an inch of the PNG files: a figure 12 inches wide is sharp on a slide."""
 GROUP_COLOURS = {"near": "#2f9e5b", "objects": "#e08a1e", "background": "#8b8b95"}
 GROUP_NAMES = {"near": "around the keypoint", "objects": "elsewhere on objects", "background": "background"}
 
@@ -141,7 +143,7 @@ def _draw_reference(axes: Any, dataset: Dataset, group: Mapping[str, Any]) -> No
         for i, (one, frame) in enumerate(zip(picks, frames, strict=True))
         if frame == (recording, camera, i_frame)
     ]
-    axes.imshow(marks_picture(image, marks, 2 * TILE))
+    axes.imshow(marks_picture(image, marks, 2 * STUDY_TILE))
     axes.set_title(f"Reference positions ({recording})", fontsize=9)
     axes.set_axis_off()
 
@@ -231,7 +233,7 @@ def draw_likelihood(axes: Any, found: Mapping[str, Any], group: Mapping[str, Any
     first, last = axes.get_xlim()
     for alpha in sorted({one["settings"]["alpha"] for one in found["methods"] if one["variant"] == variant}):
         z = np.geomspace(first, last, 200)
-        axes.plot(z, np.exp(-alpha * z), color="black", linewidth=1.2, linestyle="-" if alpha == ALPHA else "--")
+        axes.plot(z, np.exp(-alpha * z), color="black", linewidth=1.2, linestyle="-" if alpha == PAPER_ALPHA else "--")
         at = min(np.log(1e3) / alpha, 0.7 * last)
         axes.annotate(f"exp(-{alpha:.3g} z)", (at, np.exp(-alpha * at)), fontsize=7, rotation=-50, va="bottom")
     margins = found["margins"][variant] or {}

@@ -15,7 +15,9 @@ from bask_data.kinds import ObjectInstances, Reconstruction, Scan
 from bask_data.report.chosen import N_ROWS, PICTURE, Chosen, Part, per_item
 
 FIRST, LAST = (80, 220, 120), (240, 70, 90)
+"""Colours of the cameras' way at its begin and end."""
 BAD = "#e0453a"
+"""Of frames that stand out."""
 CAMERA_COLOURS = ("", "#4a90d0", "#3f9f74", "#a07cc0", "#b8923a")
 """Of curves, none of them near `BAD`; the first is that of the text."""
 

@@ -14,7 +14,8 @@ from bask_data.evaluation.lookup import find, find_recording, find_truth, spread
 from bask_data.kinds import Correspondences, ObjectInstances, Scan, Truth, VisibleMasks
 from bask_data.report.chosen import N_CAMERAS, N_ROWS, PICTURE, TILE, WIDE, Chosen, Part, per_item
 
-N_MATCHES = 30
+N_DRAWN_MATCHES = 30
+"""Lines of a pair's picture: more of them cannot be followed from one view to the other."""
 
 
 def frames(chosen: Chosen) -> list[Part]:
@@ -73,7 +74,7 @@ def masks(chosen: Chosen) -> list[Part]:
         if "error" in numbers:
             return {"title": name, "error": numbers["error"]}
         truth, scan = find_truth(chosen.dataset, name), find(chosen.dataset, Scan, name)
-        colours = [draw.css(draw.instance_colour(i)) for i in range(1, draw.N_COLOURS + 1)]
+        colours = [draw.css(draw.instance_colour(i)) for i in range(1, draw.N_LABEL_COLOURS + 1)]
         objects = find(chosen.dataset, ObjectInstances, name)
         names = {row.id: row.name for row in objects.instances} if objects else {}
         tiles = [
@@ -187,7 +188,7 @@ def _pair_tiles(scan: Scan, correspondences: Correspondences) -> list[Part]:
     if not pairs:
         return []
     fullest = max(pairs, key=lambda row: row["n_matches"])
-    enough = [row for row in pairs if row["n_matches"] >= max(N_MATCHES, 0.1 * fullest["n_matches"])]
+    enough = [row for row in pairs if row["n_matches"] >= max(N_DRAWN_MATCHES, 0.1 * fullest["n_matches"])]
     widest = max(enough, key=lambda row: row["angle"], default=fullest)
     tiles = []
     for row, why in ((fullest, "most matches"), (widest, "widest angle")):
@@ -196,7 +197,7 @@ def _pair_tiles(scan: Scan, correspondences: Correspondences) -> list[Part]:
             continue
         table = correspondences.matches([row["pair"]])
         columns = {name: table[name].to_numpy() for name in ("u_a", "v_a", "u_b", "v_b", "instance")}
-        some = draw.spread_matches(columns["instance"], N_MATCHES)
+        some = draw.spread_matches(columns["instance"], N_DRAWN_MATCHES)
         picture = draw.matches_picture(
             scan.camera(row["camera_a"]).rgb(row["frame_a"]),
             scan.camera(row["camera_b"]).rgb(row["frame_b"]),

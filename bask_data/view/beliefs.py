@@ -27,7 +27,7 @@ N_PARTICLES = 150
 """Particles shown of each keypoint, drawn by their weight: as many more would only hide them."""
 SAME = 1e-3
 """Metres within which means tracked again are those of the track."""
-WIDTH = 256
+BELIEF_WIDTH = 256
 """Pixels of a map's picture, at most."""
 
 
@@ -125,5 +125,5 @@ def _draw_maps(
     places = [f"{i + 1} {point}" for i, point in enumerate(tracker.names)]
     drawn.believed[name] = places
     for place, heat in zip(places, maps, strict=True):
-        picture = heat_picture(rgb, heat, [], min(WIDTH, rgb.shape[1]))
+        picture = heat_picture(rgb, heat, [], min(BELIEF_WIDTH, rgb.shape[1]))
         sheet.log(("belief", name, place), rr.EncodedImage(contents=jpeg(picture), media_type="image/jpeg"))

@@ -6,7 +6,7 @@ import numpy as np
 
 from bask_data.core.geometry import scale_pixels
 from bask_data.dataset import Dataset
-from bask_data.drawing.pictures import Mark, heat_picture, marks_picture, palette
+from bask_data.drawing.pictures import WHITE, Mark, heat_picture, marks_picture, palette
 from bask_data.evaluation.finder import Finder, Sight, network_of
 from bask_data.evaluation.lookup import spread_frames
 from bask_data.evaluation.reference_points import BEHIND, SEEN, PointsInFrame, TruePlaces, frame_of, reference_points
@@ -15,12 +15,12 @@ from bask_data.progress import progress
 from bask_data.view.choice import Choice
 from bask_data.view.sheet import CORNER, GREY, DrawnItem, Sheet, jpeg, reading
 
-N_POINTS = 16
-N_FRAMES = 40
+N_HEATED_POINTS = 16
+"""Points with heat maps, at most: as many as the paper tracks, and as fit into a grid beside the scene."""
+N_HEATED_FRAMES = 40
 """Frames of each camera, at most: a network needs longer for one than all other drawing."""
-WIDTH = 320
+HEAT_WIDTH = 320
 """Pixels of a picture, at most: there are many, and heat maps have no more to tell."""
-WHITE = (255, 255, 255)
 
 
 def draw_heat(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str, source: Recording, choice: Choice) -> None:
@@ -32,7 +32,7 @@ def draw_heat(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str, sourc
     with reading(descriptor):
         picks = reference_points(dataset, [choice.variant, *dataset.file.variants.get("reference", {}), "main"])
         finder, places = Finder(dataset, choice.variant, descriptor, picks), TruePlaces(dataset, picks, name)
-        here = [i for i in range(len(picks)) if finder.described[i] and not places.absent[i]][:N_POINTS]
+        here = [i for i in range(len(picks)) if finder.described[i] and not places.absent[i]][:N_HEATED_POINTS]
         for camera in source.cameras if here else []:
             _draw_camera(sheet, camera, finder, places, picks, here, choice.every)
             drawn.heated[camera.name] = [place_of(picks[i], i) for i in here]
@@ -51,7 +51,7 @@ def _draw_camera(
 ) -> None:
     colours = palette(len(picks))
     shown = range(0, camera.n_frames, every)
-    chosen = [shown[i] for i in spread_frames(len(shown), N_FRAMES)]
+    chosen = [shown[i] for i in spread_frames(len(shown), N_HEATED_FRAMES)]
     begin = float(camera.time[0]) if len(camera.time) else 0.0
     for i_frame in progress(chosen, f"drawing {sheet.item}, {camera.name}, heat maps"):
         rgb, truth = camera.rgb(i_frame), places.pixels(camera, i_frame)
@@ -74,7 +74,7 @@ def _draw_point(
 ) -> None:
     import rerun as rr
 
-    picture = heat_picture(rgb, sight.heat[row], [], min(WIDTH, rgb.shape[1]))
+    picture = heat_picture(rgb, sight.heat[row], [], min(HEAT_WIDTH, rgb.shape[1]))
 
     def on_picture(uv: np.ndarray) -> np.ndarray:
         return scale_pixels(uv.reshape(-1, 2), rgb.shape[:2], picture.shape[:2]) + CORNER
@@ -114,5 +114,5 @@ def _draw_reference(sheet: Sheet, dataset: Dataset, picks: list[Pick], here: lis
     if image is None:
         return
     marks = [Mark(i + 1, np.array([picks[i].u, picks[i].v]), colours[i]) for i in of_frame]
-    picture = marks_picture(image, marks, max(2 * WIDTH, image.shape[1]))
+    picture = marks_picture(image, marks, max(2 * HEAT_WIDTH, image.shape[1]))
     sheet.fix(("heat", "reference"), rr.EncodedImage(contents=jpeg(picture), media_type="image/jpeg"))

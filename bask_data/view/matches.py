@@ -15,7 +15,8 @@ from bask_data.kinds import Camera, Correspondences, Scan
 from bask_data.progress import progress
 from bask_data.view.sheet import CORNER, DrawnItem, Sheet, jpeg, reading
 
-N_MATCHES = 60
+N_SHOWN_MATCHES = 60
+"""Matches drawn of a pair: more than in a report, for a viewer can be zoomed."""
 GAP_PX = 8
 """Between the two images of a pair."""
 
@@ -46,7 +47,7 @@ def _draw_pair(sheet: Sheet, scan: Scan, found: Correspondences, row: dict[str, 
     cameras = [_frame(scan, found, where, row[f"camera_{x}"], row[f"frame_{x}"]) for x in "ab"]
     table = found.matches([row["pair"]])
     columns = {name: table[name].to_numpy() for name in ("u_a", "v_a", "u_b", "v_b", "instance")}
-    some = spread_matches(columns["instance"], N_MATCHES)
+    some = spread_matches(columns["instance"], N_SHOWN_MATCHES)
     uv_a, uv_b = (np.stack([columns[f"u_{x}"], columns[f"v_{x}"]], axis=1)[some].astype(np.float64) for x in "ab")
     if not np.isfinite([uv_a, uv_b]).all():
         raise BadData(found.path / "matches.parquet", where, expected="finite pixels", got="NaN or infinity")

@@ -15,6 +15,7 @@ from bask_data.kinds import ObjectInstances, Reconstruction, Recording
 from bask_data.view.sheet import DrawnItem, Eye, Sheet, expect, label_colour, name_labels, reading
 
 N_EYE_POINTS = 20_000
+"""Vertices that say where the scene is, at most: its 2nd and 98th percentiles do not change with more."""
 FAR_ENOUGH = 1.9
 """Radii of a ball from which a view of 55 degrees sees nearly all of it."""
 

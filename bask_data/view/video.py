@@ -19,11 +19,11 @@ from bask_data.kinds import Camera, KeypointTrack
 from bask_data.progress import progress
 from bask_data.view.sheet import reading
 
-WIDTH = 480
+VIDEO_WIDTH = 480
 """Pixels of each camera's image in the video."""
 GAP, LINE = 8, 30
 """Pixels between images, and of a line of text."""
-FRAMES_PER_SECOND = 20.0
+FALLBACK_RATE = 20.0
 """Where a recording does not tell."""
 BACKGROUND, INK = (24, 26, 30), (225, 228, 232)
 _FONT, _SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
@@ -88,12 +88,12 @@ def _rate(camera: Camera) -> float:
     """Frames a second, by the time from one frame to the next."""
     steps = np.diff(camera.time)
     step = float(np.median(steps)) if len(steps) else 0.0
-    return 1.0 / step if np.isfinite(step) and step > 0 else FRAMES_PER_SECOND
+    return 1.0 / step if np.isfinite(step) and step > 0 else FALLBACK_RATE
 
 
 def _size(strips: Sequence[CameraTrack]) -> tuple[int, int]:
-    heights = [max(1, round(strip.camera.height * WIDTH / strip.camera.width)) for strip in strips]
-    return max(heights) + 2 * LINE, len(strips) * (WIDTH + GAP) - GAP
+    heights = [max(1, round(strip.camera.height * VIDEO_WIDTH / strip.camera.width)) for strip in strips]
+    return max(heights) + 2 * LINE, len(strips) * (VIDEO_WIDTH + GAP) - GAP
 
 
 def _picture(
@@ -104,10 +104,10 @@ def _picture(
     picture = np.full((height, width, 3), BACKGROUND, np.uint8)
     for i, strip in enumerate(strips):
         marks = strip.marks(i_frame, colours)
-        drawn = marks_picture(strip.camera.rgb(i_frame), marks, WIDTH)
-        _draw_outside(drawn, marks, WIDTH / strip.camera.width)
-        left = i * (WIDTH + GAP)
-        picture[LINE : LINE + len(drawn), left : left + WIDTH] = drawn
+        drawn = marks_picture(strip.camera.rgb(i_frame), marks, VIDEO_WIDTH)
+        _draw_outside(drawn, marks, VIDEO_WIDTH / strip.camera.width)
+        left = i * (VIDEO_WIDTH + GAP)
+        picture[LINE : LINE + len(drawn), left : left + VIDEO_WIDTH] = drawn
         _text(picture, strip.camera.name, left + 6, LINE - 10)
     time = strips[0].camera.time
     seconds = f", {time[i_frame] - time[0]:.2f} s" if len(time) > i_frame else ""

@@ -170,7 +170,7 @@ def test_many_scenes_show_the_first_few_and_say_how_many_are_left_out(tmp_path):
 
 
 def test_a_page_that_grows_too_large_shows_fewer_frames(full, full_html, tmp_path, monkeypatch):
-    monkeypatch.setattr("bask_data.report.page.MOST_BYTES", len(full_html) - 1)
+    monkeypatch.setattr("bask_data.report.page.MOST_PAGE_BYTES", len(full_html) - 1)
     smaller = write_report(full, tmp_path / "r.html").read_text(encoding="utf-8")
     assert Page(smaller).sections == SECTIONS
     assert len(smaller) < len(full_html)
@@ -327,7 +327,7 @@ def test_labels_of_other_frames_than_the_track_s_are_not_held_against_it(tmp_pat
 
 
 def test_heat_maps_are_of_keypoints_whose_object_is_there(tmp_path, monkeypatch):
-    monkeypatch.setattr("bask_data.report.heat.N_POINTS", 1)
+    monkeypatch.setattr("bask_data.report.heat.N_HEAT_POINTS", 1)
     dataset = filled_dataset(tmp_path / "d")
     publish_network(dataset)
     seen = make_views(0.8, 5)

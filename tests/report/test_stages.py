@@ -139,7 +139,7 @@ def test_masks_are_looked_at_once_for_page_and_json(dataset, tmp_path, monkeypat
     assert len(looked) == 6
     looked.clear()
     # Three sizes are tried before a page this large is given up on.
-    monkeypatch.setattr("bask_data.report.page.MOST_BYTES", 1)
+    monkeypatch.setattr("bask_data.report.page.MOST_PAGE_BYTES", 1)
     ended = CliRunner().invoke(app, ["report", str(dataset.root), "--out", str(tmp_path / "r.html"), "--json"])
     assert json.loads(ended.stdout)["masks"]["scan-a"]["n_frames"] == 6
     assert len(looked) == 6 + 6 + 4 + 2, "once to measure, and what each size of the page shows"

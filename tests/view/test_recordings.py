@@ -446,7 +446,7 @@ def escaped(name: str) -> str:
 
 
 def test_of_long_recordings_some_frames_have_heat_maps(described, tmp_path, monkeypatch):
-    monkeypatch.setattr("bask_data.view.heat.N_FRAMES", 2)
+    monkeypatch.setattr("bask_data.view.heat.N_HEATED_FRAMES", 2)
     _, saved = save(described, tmp_path, "scan-a", every=2)
     assert sorted(saved.all(f"/scan-a/heat/wrist/{escaped('1 corner')}/map", "EncodedImage:blob")) == [0, 4]
 

@@ -13,7 +13,7 @@ from bask_data.drawing.pictures import palette
 from bask_data.errors import BaskError, UsageError, WouldOverwrite
 from bask_data.kinds import Demonstration, KeypointTrack
 from bask_data.view import video
-from bask_data.view.video import LINE, WIDTH, write_videos
+from bask_data.view.video import LINE, VIDEO_WIDTH, write_videos
 from tests.datasets import publish_artifact
 from tests.report.filled import filled_dataset
 
@@ -48,11 +48,11 @@ def test_a_video_shows_each_frame_in_real_time_with_dots_for_what_is_seen_and_ri
     track = KeypointTrack(dataset.path(KeypointTrack, "demo-a"))
     camera = Demonstration(dataset.path(Demonstration, "demo-a")).camera("wrist")
     assert (len(pictures), rate) == (5, 30.0)
-    height = round(camera.height * WIDTH / camera.width)
+    height = round(camera.height * VIDEO_WIDTH / camera.width)
     seen, hidden = palette(2)
     for i, picture in enumerate(pictures):
-        assert picture.shape == (height + 2 * LINE, WIDTH, 3)
-        factor = WIDTH / camera.width
+        assert picture.shape == (height + 2 * LINE, VIDEO_WIDTH, 3)
+        factor = VIDEO_WIDTH / camera.width
         at = (track.pixel("wrist")[i] + 0.5) * factor - 0.5 + [0, LINE]
         assert is_near(picture, at[0], seen)
         assert not is_near(picture, at[1], hidden)
@@ -83,7 +83,7 @@ def test_what_is_outside_of_the_image_points_from_its_edge(tmp_path: Path) -> No
     publish_artifact(dataset, KeypointTrack, "demo-a", fill)
     pictures, _ = frames_of(write_videos(dataset, tmp_path, ["demo-a"])["demo-a"])
     [colour] = palette(1)
-    assert is_near(pictures[2], np.array([WIDTH - 12, LINE + 48.5 * WIDTH / 128 - 0.5]), colour, 1.0)
+    assert is_near(pictures[2], np.array([VIDEO_WIDTH - 12, LINE + 48.5 * VIDEO_WIDTH / 128 - 0.5]), colour, 1.0)
 
 
 def test_a_video_is_replaced_only_if_asked_to(
