@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from bask_data.dataset import Dataset
 from bask_data.errors import UsageError
 from bask_data.evaluation.frames import Frames
-from bask_data.evaluation.held_out import held_out
+from bask_data.evaluation.held_out import HeldOut, held_out
 from bask_data.evaluation.keypoints import keypoint_table
 from bask_data.evaluation.matches import BINS, PairMatches, alike_pairs, candidate_pairs, spread_pairs
 from bask_data.evaluation.search import ALPHA, ALPHAS, RADIUS, Cells, found_matches
@@ -38,6 +38,8 @@ class DescriptorSettings:
         keypoints: number of those that are picked in a view trained on and looked for in others; 0 is none.
         alpha: temperature of the heat maps whose calibration is measured.
         seed: of the pairs and of the pixels looked for.
+        one_may_be_learned: where frames are held out, but no matches join two of them, measure on pairs of which one
+            frame was trained on, rather than not at all.
     """
 
     scenes: Sequence[str] = ()
@@ -46,6 +48,7 @@ class DescriptorSettings:
     keypoints: int = 0
     alpha: float = ALPHA
     seed: int = 0
+    one_may_be_learned: bool = False
 
 
 def evaluated_descriptor(
@@ -73,30 +76,22 @@ def evaluated_descriptor(
         raise UsageError("evaluate descriptor", "--alpha", expected="a finite number, 0 or more", got=settings.alpha)
     aside = held_out(dataset, variants, settings.scenes)
     networks = {name: _network(dataset, name) for name in variants}
-    scores: dict[str, list[Scored]] = {name: [] for name in variants}
-    turned: dict[str, list[tuple[str, str, Records]]] = {name: [] for name in variants}
-    sources = {}
-    for scene in aside.scenes:
-        frames = Frames(dataset, scene)
-        sources[scene] = "exact depth and cameras" if frames.truth is not None else "correspondences"
-        candidates = candidate_pairs(dataset, frames, aside, settings.seed)
-        spread = spread_pairs(candidates, settings.pairs, settings.seed)
-        alike = alike_pairs(candidates, max(settings.pairs // PAIRS_SWEPT, 1), settings.seed) if settings.sweep else []
-        for name, network in networks.items():
-            scores[name] += _scored(network, frames, spread, settings.alpha, name)
-            turned[name] += swept(network, frames, alike, settings.alpha, name)
-    if not any(scores.values()):
+    measured = _measured(dataset, networks, aside, settings)
+    if not measured.n_pairs and settings.one_may_be_learned and aside.share < 1:
+        aside = aside.joined_with_learned()
+        measured = _measured(dataset, networks, aside, settings)
+    if not measured.n_pairs:
         raise UsageError(dataset.root, expected="frames that see the same objects", got=f"none in {aside.words}")
-    found = {name: _told(scored) | _told_conditions(turned[name]) for name, scored in scores.items()}
+    found = {name: _told(scored) | _told_conditions(measured.turned[name]) for name, scored in measured.scores.items()}
     if settings.keypoints:
         table = keypoint_table(dataset, networks, aside, against or {}, settings.keypoints, settings.seed)
         found = {name: told | {"keypoints": table[name]} for name, told in found.items()}
     return {
         "measured_on": aside.words,
-        "matches_by": sources,
+        "matches_by": measured.sources,
         "alpha": settings.alpha,
         "radius_share": RADIUS,
-        "n_pairs": len(scores[variants[0]]),
+        "n_pairs": measured.n_pairs,
         "variants": found,
     }
 
@@ -112,6 +107,41 @@ class Scored:
     matches: PairMatches
     objects: tuple[str, ...]
     records: Records
+
+
+@dataclass
+class _Measured:
+    """What networks found of the same pairs.
+
+    Attributes:
+        sources: what a scene's matches are known by.
+        scores: by network, of each pair.
+        turned: by network, under each condition of the sweep.
+    """
+
+    sources: dict[str, str]
+    scores: dict[str, list[Scored]]
+    turned: dict[str, list[tuple[str, str, Records]]]
+
+    @property
+    def n_pairs(self) -> int:
+        return len(next(iter(self.scores.values())))
+
+
+def _measured(
+    dataset: Dataset, networks: Mapping[str, DescriptorNetwork], aside: HeldOut, settings: DescriptorSettings
+) -> _Measured:
+    measured = _Measured({}, {name: [] for name in networks}, {name: [] for name in networks})
+    for scene in aside.scenes:
+        frames = Frames(dataset, scene)
+        measured.sources[scene] = "exact depth and cameras" if frames.truth is not None else "correspondences"
+        candidates = candidate_pairs(dataset, frames, aside, settings.seed)
+        spread = spread_pairs(candidates, settings.pairs, settings.seed)
+        alike = alike_pairs(candidates, max(settings.pairs // PAIRS_SWEPT, 1), settings.seed) if settings.sweep else []
+        for name, network in networks.items():
+            measured.scores[name] += _scored(network, frames, spread, settings.alpha, name)
+            measured.turned[name] += swept(network, frames, alike, settings.alpha, name)
+    return measured
 
 
 def _scored(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bask_data.artifact import MANIFEST
 from bask_data.dataset import Dataset
@@ -21,15 +21,27 @@ class HeldOut:
         scenes: by name.
         share: of each camera's frames, the last, that are looked at.
         words: what that is, for people.
+        with_learned: pairs may join one of these frames with one that was trained on, as those that `train` validates
+            on may; otherwise both of their frames are held out.
     """
 
     scenes: tuple[str, ...]
     share: float
     words: str
+    with_learned: bool = False
 
     def frames(self, frames: Frames, most: int) -> list[Frame]:
         """A scene's frames that are looked at, evenly over time, at most so many."""
         return frames.between(1.0 - self.share, 1.0, most)
+
+    def partners(self, frames: Frames, most: int) -> list[Frame]:
+        """A scene's frames that were trained on and may be joined with these, at most so many."""
+        return frames.between(0.0, 1.0 - self.share, most) if self.with_learned else []
+
+    def joined_with_learned(self) -> HeldOut:
+        """The same frames, in pairs of which one frame at least is held out."""
+        words = f"pairs of a held-out frame and one that was trained on, as no matches join two {self.words}"
+        return replace(self, words=words, with_learned=True)
 
 
 def held_out(dataset: Dataset, variants: Sequence[str], scenes: Sequence[str] = ()) -> HeldOut:

@@ -88,15 +88,18 @@ class PairMatches:
 
 def candidate_pairs(dataset: Dataset, frames: Frames, held_out: HeldOut, seed: int) -> list[PairMatches]:
     """All pairs of a scene's held-out frames that share enough, with some matches of each: by exact depth where there
-    is truth, else those the dataset has.
+    is truth, else those the dataset has. Where `held_out` says so, pairs of which one frame is held out, too.
     """
     import numpy as np
 
     rng = np.random.default_rng([seed, 0, *frames.scene.encode()])
-    chosen = held_out.frames(frames, MOST_MATCHED_FRAMES)
+    aside = held_out.frames(frames, MOST_MATCHED_FRAMES)
+    chosen = [*held_out.partners(frames, MOST_MATCHED_FRAMES), *aside]
     if frames.truth is not None:
-        return _by_truth(frames, chosen, rng)
-    return _by_correspondences(dataset, frames, chosen, rng)
+        found = _by_truth(frames, chosen, rng)
+    else:
+        found = _by_correspondences(dataset, frames, chosen, rng)
+    return [pair for pair in found if pair.a in aside or pair.b in aside]
 
 
 def spread_pairs(candidates: Sequence[PairMatches], n_pairs: int, seed: int) -> list[PairMatches]:

@@ -55,7 +55,8 @@ def descriptors_figures(dataset: Dataset) -> dict[str, Any]:
             scenes = held_out(dataset, readable).scenes
             n_pairs = max(PAIRS_EVALUATED // min(len(scenes), SCENES_EVALUATED), 1)
             some = scenes[:SCENES_EVALUATED] if len(scenes) > SCENES_EVALUATED else ()
-            found = evaluated_descriptor(dataset, readable, DescriptorSettings(scenes=some, pairs=n_pairs, sweep=True))
+            settings = DescriptorSettings(scenes=some, pairs=n_pairs, sweep=True, one_may_be_learned=True)
+            found = evaluated_descriptor(dataset, readable, settings)
     except UNREADABLE as error:
         errors["not measured"] = what_is_wrong(error)
     return {**found, **({"errors": errors} if errors else {})}

@@ -425,6 +425,21 @@ def test_frames_that_share_nothing_are_told(tmp_path: Path) -> None:
         evaluated_descriptor(dataset)
 
 
+def test_where_no_two_held_out_frames_are_joined_pairs_of_one_may_be_measured_and_are_named(tmp_path: Path) -> None:
+    dataset = described_dataset(tmp_path / "d", {"a": boxes(0)})
+    publish_network(dataset, held_out=1 / N_FRAMES)
+    found = evaluated_descriptor(dataset, settings=DescriptorSettings(pairs=4, one_may_be_learned=True))
+    assert found["measured_on"] == (
+        "pairs of a held-out frame and one that was trained on, as no matches join two held-out frames: the last 8% of "
+        "each camera's, of scenes that were trained on"
+    )
+    assert found["n_pairs"] == 4
+    joined = held_out(dataset, ["main"]).joined_with_learned()
+    pairs = candidate_pairs(dataset, Frames(dataset, "a"), joined, 0)
+    last = N_FRAMES - 1
+    assert len(pairs) > 4 and all((pair.a.i == last) != (pair.b.i == last) for pair in pairs)
+
+
 # Without truth --------------------------------------------------------------------------------------------------------
 
 
@@ -518,6 +533,16 @@ def test_matches_of_frames_that_were_trained_on_are_left_out(recorded: tuple) ->
     dataset, _ = recorded
     pairs = candidate_pairs(dataset, Frames(dataset, "a"), HeldOut(("a",), 0.25, ""), 0)
     assert {(pair.a.i, pair.b.i) for pair in pairs} == {(9, 10), (11, 10)}
+
+
+def test_matches_of_one_frame_that_was_trained_on_are_taken_where_asked_for(recorded: tuple) -> None:
+    dataset, _ = recorded
+    aside = HeldOut(("a",), 1 / 3, "")
+    both, one = (
+        candidate_pairs(dataset, Frames(dataset, "a"), each, 0) for each in (aside, aside.joined_with_learned())
+    )
+    assert {(pair.a.i, pair.b.i) for pair in both} == {(9, 10), (11, 10)}
+    assert {(pair.a.i, pair.b.i) for pair in one} == {(1, 8), (9, 10), (11, 10)}
 
 
 def test_without_depth_scale_and_rotation_are_in_no_bin(candidates: list) -> None:

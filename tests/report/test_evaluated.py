@@ -41,7 +41,9 @@ def section(html: str, name: str) -> str:
 def test_networks_are_measured_as_the_command_does_and_only_once_for_page_and_json(
     dataset, found, tmp_path, monkeypatch
 ):
-    told = evaluated_descriptor(dataset, ("main", "florence"), DescriptorSettings(pairs=48, sweep=True))
+    told = evaluated_descriptor(
+        dataset, ("main", "florence"), DescriptorSettings(pairs=48, sweep=True, one_may_be_learned=True)
+    )
     assert found == json.loads(json.dumps(told))
     asked: list[object] = []
     monkeypatch.setattr(MEASURED_BY, lambda *a: asked.append(a) or told)
