@@ -97,7 +97,9 @@ def test_bins_without_matches_and_groups_of_one_are_left_out():
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[tuple[list[Curve], dict[str, Any]]]:
     calls: list[tuple[list[Curve], dict[str, Any]]] = []
-    monkeypatch.setattr("bask_data.report.evaluated.line_plot", lambda curves, **how: calls.append((curves, how)) or "")
+    for section in ("evaluated", "networks"):
+        where = f"bask_data.report.{section}.line_plot"
+        monkeypatch.setattr(where, lambda curves, **how: calls.append((curves, how)) or "")
     return calls
 
 
