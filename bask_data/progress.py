@@ -61,18 +61,18 @@ def progress(items: Iterable[T], label: str, total: int | None = None) -> Iterat
 
 
 class Steps:
-    """Progress of several loops that are one piece of work: each item of any of them is a step."""
+    """Progress of several loops that are one piece of work, counted in steps that take about as long."""
 
     def __init__(self, label: str, total: int) -> None:
         """Report that none of `total` steps is done."""
         self._label, self._done, self._total = label, 0, total
         report(label, 0, total)
 
-    def over(self, items: Iterable[T]) -> Iterator[T]:
-        """The same items, each of which is a step when the next is asked for."""
+    def over(self, items: Iterable[T], weight: int = 1) -> Iterator[T]:
+        """The same items, each of which is `weight` steps when the next is asked for."""
         for item in items:
             yield item
-            self.reach(self._done + 1)
+            self.reach(self._done + weight)
 
     def reach(self, done: int) -> None:
         """Report that `done` steps are done: also what was left out counts."""

@@ -1,6 +1,6 @@
 """How soon the picker shows heat maps after the pointer has moved: `python benchmarks/hover.py`.
 
-In a real Chromium, from the pointer's event to all of the page's seven views drawn: the request, the maps, the answer,
+In a real Chromium, from the pointer's event to all of the page's views drawn: the request, the maps, the answer,
 and the painting. Pages as a BASK network has them: D = 64, 256x256. Up to 100 ms feel as if at once.
 """
 
@@ -53,10 +53,15 @@ def main() -> int:
             browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
             page = browser.new_page(viewport={"width": 1400, "height": 860})
             taken = measured(page, links.get(timeout=60))
+            n_views = page.evaluate("() => shownViews().length")
             browser.close()
     low, middle, high = np.percentile(taken, [10, 50, 90])
-    print(f"pointer to heat maps drawn in 7 views: {middle:.0f} ms, 10 to 90 % {low:.0f} to {high:.0f} ms", end="")
-    print(f" ({len(taken)} moves); asked: <= {BAR_MS:.0f} ms: {'holds' if middle <= BAR_MS else 'MISSED'}")
+    verdict = "holds" if middle <= BAR_MS else "MISSED"
+    print(
+        f"pointer to heat maps drawn in {n_views} views: {middle:.0f} ms, 10 to 90 % {low:.0f} to {high:.0f} ms ",
+        end="",
+    )
+    print(f"({len(taken)} moves); asked: <= {BAR_MS:.0f} ms: {verdict}")
     return 0 if middle <= BAR_MS else 1
 
 
@@ -85,7 +90,7 @@ def pages(folder: Path) -> Gallery:
 def measured(page: Page, url: str) -> list[float]:
     """Milliseconds of each of some moves, one after the other."""
     page.goto(url)
-    page.locator(".view.ready").nth(6).wait_for()
+    page.wait_for_function("() => views.length && shownViews().every((view) => view.root.matches('.ready'))")
     page.evaluate(MEASURE)
     box = page.locator(".screen canvas").first.bounding_box()
     assert box is not None

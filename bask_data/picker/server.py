@@ -36,6 +36,15 @@ HEADERS = {
     "X-Frame-Options": "DENY",
 }
 PAGE = Path(__file__).parent / "page"
+STYLE = ("controls.css", "views.css", "panels.css")
+PROGRAM = tuple(
+    f"{name}.js"
+    for name in (
+        *("state", "server", "frames", "viewport", "pointers", "view", "heat"),
+        *("paint", "loupe", "layout", "list", "jobs", "start"),
+    )
+)
+"""One program in several files; what one defines, the later ones may use while they are read."""
 
 
 class Guard:
@@ -113,8 +122,8 @@ def application(desk: Desk, hosts: frozenset[str], token: str, close: Callable[[
 def page_text(nonce: str) -> str:
     """The page with its style and its program inside: it asks for nothing else."""
     text = (PAGE / "index.html").read_text(encoding="utf-8")
-    for mark, name in (("/*STYLE*/", "picker.css"), ("/*PROGRAM*/", "picker.js")):
-        text = text.replace(mark, (PAGE / name).read_text(encoding="utf-8"))
+    for mark, names in (("/*STYLE*/", STYLE), ("/*PROGRAM*/", PROGRAM)):
+        text = text.replace(mark, "\n".join((PAGE / name).read_text(encoding="utf-8") for name in names))
     return text.replace("NONCE", nonce)
 
 

@@ -33,8 +33,12 @@ if TYPE_CHECKING:
 N_VIEWS = 5
 """Frames of an object that candidates are taken from, and looked for in."""
 
-STEPS_OF_OBJECT = N_VIEWS + N_VIEWS + N_VIEWS * (N_VIEWS - 1)
-"""Steps of an object in the progress: views described, views that give candidates, and views they are looked for in."""
+STEPS_OF_PASS = 8
+"""Steps that the network's pass over a view counts, where a search in it counts one: about their times with ResNet-18
+on apc_shelf. A wrong share only bends the estimate of the time left."""
+
+STEPS_OF_OBJECT = 2 * N_VIEWS * STEPS_OF_PASS + N_VIEWS * (N_VIEWS - 1)
+"""Steps of an object: views described, views that give candidates, and views they are looked for in."""
 
 CANDIDATES_PER_FRAME = 120
 """Candidates from each of these frames, at least."""
@@ -237,11 +241,11 @@ def _of_instance(
     from bask_data.nn.selection import found_again, spread_out
 
     frames = _best_frames(instance, scan, masks)
-    views = [_view(camera, i_frame, network) for camera, i_frame in steps.over(frames)]
+    views = [_view(camera, i_frame, network) for camera, i_frame in steps.over(frames, STEPS_OF_PASS)]
     for border in MASK_BORDERS:
         rng = np.random.default_rng((seed, instance))
         # Another border is the exception, and not counted on.
-        taken_from = steps.over(frames) if border == MASK_BORDERS[0] else frames
+        taken_from = steps.over(frames, STEPS_OF_PASS) if border == MASK_BORDERS[0] else frames
         candidates = _candidates(instance, taken_from, masks, network, border, max(CANDIDATES_PER_FRAME, 2 * n), rng)
         if len(candidates.uv) >= n:
             break

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import json
-import os
-import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,117 +14,18 @@ import yaml
 from typer.testing import CliRunner
 
 from bask_data.cli.app import app
-from bask_data.dataset import Dataset
-from bask_data.kinds import Recording, ReferenceKeypoints
+from bask_data.kinds import ReferenceKeypoints
 from bask_data.picker.desk import Desk
-from bask_data.picker.draft import Draft, KeypointMark
+from bask_data.picker.draft import Draft
 from bask_data.picker.gallery import Gallery
 from tests.nn import pairs
-from tests.picker.pickable import HEIGHT, N_VIEWS, WIDTH, pickable_dataset, recordings_of, untrained
+from tests.picker.browsing import click, count, frame_in, opened, pixels, place_of, ready, served_of, settled
+from tests.picker.pickable import N_VIEWS, recordings_of, untrained
 from tests.picker.serving import Served
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("starlette")
 playwright = pytest.importorskip("playwright.sync_api")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[object]:
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
-
-
-@pytest.fixture
-def page(browser) -> Iterator[object]:
-    page = browser.new_page(viewport={"width": 1400, "height": 860})
-    page.set_default_timeout(60_000)
-    # The browser writes down each request that failed: a test that brings one about says so.
-    page.faults, page.is_refused = [], False
-    page.on("pageerror", lambda error: page.faults.append(str(error)))
-    page.on("console", lambda line: page.faults.append(line.text) if line.type == "error" else None)
-    yield page
-    page.close()
-    assert page.is_refused or page.faults == []
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory) -> Dataset:
-    return pickable_dataset(tmp_path_factory.mktemp("page") / "d")
-
-
-@pytest.fixture
-def served(page, dataset, tmp_path) -> Iterator[Served]:
-    with served_of(recordings_of(dataset), tmp_path, page) as server:
-        yield server
-
-
-@contextmanager
-def served_of(recordings: dict[str, Recording], tmp_path: Path, page) -> Iterator[Served]:
-    desk = Desk(
-        Gallery(recordings, untrained()),
-        Draft(tmp_path / "picks.json"),
-        propose=lambda scene, n: [
-            KeypointMark(name=f"object_{i}", recording=scene, camera="wrist", frame=1, u=40 + i, v=50) for i in range(n)
-        ],
-        save=lambda marks: ("", ""),
-        title="table",
-    )
-    server = Served(desk)
-    try:
-        yield server
-    finally:
-        page.goto("about:blank")  # What it still asks for would be refused, which is a fault.
-        server.end()
-
-
-def opened(page, url: str) -> None:
-    page.goto(url)
-    page.locator(".view.ready").nth(6).wait_for()
-
-
-def place_of(page, u: float, v: float, view: int = 0) -> tuple[float, float]:
-    """Where a pixel of the frames' size is on the page."""
-    box = page.locator(".screen canvas").nth(view).bounding_box()
-    zoom = min(box["width"] / WIDTH, box["height"] / HEIGHT)
-    x, y = box["x"] + (box["width"] - zoom * WIDTH) / 2, box["y"] + (box["height"] - zoom * HEIGHT) / 2
-    return x + zoom * (u + 0.5), y + zoom * (v + 0.5)
-
-
-def count(page, n: int) -> None:
-    playwright.expect(page.locator("#count")).to_have_text(str(n))
-
-
-def click(page, u: float, v: float, n_after: int) -> None:
-    page.mouse.click(*place_of(page, u, v))
-    count(page, n_after)
-
-
-def frame_in(page, view: int, recording: str, i_frame: int) -> None:
-    """Show a frame in a view."""
-    page.locator(".recording").nth(view).select_option(recording)
-    page.locator(".frame").nth(view).fill(str(i_frame))
-    page.locator(".view.ready").nth(6).wait_for()
-
-
-def pixels(page, view: int) -> np.ndarray:
-    from PIL import Image
-
-    picture = Image.open(io.BytesIO(page.locator(".screen").nth(view).screenshot()))
-    return np.asarray(picture.convert("RGB")).astype(int)
-
-
-def settled(page, view: int, is_enough) -> np.ndarray:
-    """A view's pixels as soon as they are as wanted: drawing follows the server's answers."""
-    for _ in range(200):
-        found = pixels(page, view)
-        if is_enough(found):
-            return found
-        time.sleep(0.1)
-    raise AssertionError("the view never came to look as it should")
 
 
 def spread_over(instance: np.ndarray, label: int, n: int) -> list[tuple[int, int]]:
@@ -155,8 +51,17 @@ def ended(process: subprocess.Popen) -> Iterator[subprocess.Popen]:
         process.wait()
 
 
-def test_sixteen_points_over_two_objects_survive_a_reload_and_are_saved(page, dataset) -> None:
-    command = [sys.executable, "-m", "bask_data.cli", "reference", dataset.root, "--pick", "--no-browser", "--json"]
+def test_sixteen_points_over_two_objects_survive_a_reload_and_are_saved(page, page_dataset) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "bask_data.cli",
+        "reference",
+        page_dataset.root,
+        "--pick",
+        "--no-browser",
+        "--json",
+    ]
     with ended(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)) as process:
         line = next(line for line in process.stderr if line.startswith("open "))
         opened(page, line.split()[1])
@@ -166,7 +71,7 @@ def test_sixteen_points_over_two_objects_survive_a_reload_and_are_saved(page, da
         for i, (u, v, _) in enumerate(wanted):
             click(page, u, v, i + 1)
         page.reload()
-        page.locator(".view.ready").nth(6).wait_for()
+        ready(page)
         count(page, 16)
         page.keyboard.press("Control+z")
         count(page, 15)
@@ -177,33 +82,33 @@ def test_sixteen_points_over_two_objects_survive_a_reload_and_are_saved(page, da
         click(page, *wanted[15][:2], n_after=16)
         page.keyboard.press("Control+s")
         playwright.expect(page.locator("#saved-text")).to_have_text("16 keypoints saved as reference/main")
-        assert page.locator("#saved-next").inner_text() == f"bask-data encode {dataset.root}"
+        assert page.locator("#saved-next").inner_text() == f"bask-data encode {page_dataset.root}"
         page.locator("#finish").click()
         playwright.expect(page.locator("body")).to_have_text("Saved. This page can be closed.")
         told = process.stderr.read()
         found = json.loads(process.stdout.read())
         assert process.wait(60) == 0, told
-    assert f"next: bask-data encode {dataset.root}\n" in told
+    assert f"next: bask-data encode {page_dataset.root}\n" in told
     assert [(outcome["label"], outcome["status"]) for outcome in found["outcomes"]] == [("reference", "made")]
-    kept = ReferenceKeypoints(dataset.path(ReferenceKeypoints))
+    kept = ReferenceKeypoints(page_dataset.path(ReferenceKeypoints))
     assert [(pick.recording, pick.frame, pick.instance) for pick in kept.picks] == [("a", 1, one[2]) for one in wanted]
     np.testing.assert_allclose([(pick.u, pick.v) for pick in kept.picks], [one[:2] for one in wanted], atol=0.3)
-    section = yaml.safe_load((dataset.root / "params.yaml").read_text())["reference@main"]
+    section = yaml.safe_load((page_dataset.root / "params.yaml").read_text())["reference@main"]
     assert (len(section["picks"]), section["auto"]) == (16, False)
-    rows = json.loads(CliRunner().invoke(app, ["status", str(dataset.root), "--json"]).stdout)["artifacts"]
+    rows = json.loads(CliRunner().invoke(app, ["status", str(page_dataset.root), "--json"]).stdout)["artifacts"]
     assert {"stage": "reference", "label": "reference", "status": "up to date", "why": ""} in rows
 
 
-def test_a_single_recording_fills_every_view(page, dataset, tmp_path) -> None:
-    with served_of({"a": recordings_of(dataset)["a"]}, tmp_path, page) as server:
+def test_a_single_recording_fills_every_view(page, page_dataset, tmp_path) -> None:
+    with served_of({"a": recordings_of(page_dataset)["a"]}, tmp_path, page) as server:
         opened(page, server.url)
-        assert page.locator(".view.ready").count() == 7
+        assert page.locator(".view.ready").count() == 9
         shown = page.evaluate("views.map((view) => view.frame.join())")
         assert len(set(shown[:N_VIEWS])) == N_VIEWS  # Only then the same ones again.
 
 
-def test_a_point_is_dragged_named_and_deleted(page, served) -> None:
-    opened(page, served.url)
+def test_a_point_is_dragged_named_and_deleted(page, served_page) -> None:
+    opened(page, served_page.url)
     click(page, 30, 40, 1)
     click(page, 90, 60, 2)
     page.mouse.move(*place_of(page, 30, 40))
@@ -214,20 +119,20 @@ def test_a_point_is_dragged_named_and_deleted(page, served) -> None:
     page.locator(".name-field").fill("rim")
     page.keyboard.press("Enter")
     playwright.expect(page.locator("#list li .name").first).to_contain_text("rim")
-    rim, other = served.desk.draft.marks
+    rim, other = served_page.desk.draft.marks
     assert (rim.name, other.name) == ("rim", "point_2")
     np.testing.assert_allclose([rim.u, rim.v, other.u, other.v], [50, 45, 90, 60], atol=0.3)
     page.locator("#list li").first.click()
     page.keyboard.press("Delete")
     count(page, 1)
-    assert [mark.name for mark in served.desk.draft.marks] == ["point_2"]
+    assert [mark.name for mark in served_page.desk.draft.marks] == ["point_2"]
     page.keyboard.press("Control+z")
     count(page, 2)
-    assert [mark.name for mark in served.desk.draft.marks] == ["rim", "point_2"]
+    assert [mark.name for mark in served_page.desk.draft.marks] == ["rim", "point_2"]
 
 
-def test_a_name_that_is_taken_is_told(page, served) -> None:
-    opened(page, served.url)
+def test_a_name_that_is_taken_is_told(page, served_page) -> None:
+    opened(page, served_page.url)
     click(page, 30, 40, 1)
     click(page, 90, 60, 2)
     page.keyboard.press("F2")
@@ -235,29 +140,29 @@ def test_a_name_that_is_taken_is_told(page, served) -> None:
     page.keyboard.press("Enter")
     playwright.expect(page.locator("#status")).to_contain_text("expected one that no other keypoint has, got point_1")
     page.is_refused = True
-    assert [mark.name for mark in served.desk.draft.marks] == ["point_1", "point_2"]
+    assert [mark.name for mark in served_page.desk.draft.marks] == ["point_1", "point_2"]
 
 
-def test_everything_can_be_done_with_the_keyboard(page, served) -> None:
-    opened(page, served.url)
+def test_everything_can_be_done_with_the_keyboard(page, served_page) -> None:
+    opened(page, served_page.url)
     frame = page.locator(".frame").first.input_value()
     page.locator(".screen canvas").first.focus()
     for key in ("ArrowRight", "ArrowRight", "ArrowDown", "Enter"):
         page.keyboard.press(key)
     count(page, 1)
-    [mark] = served.desk.draft.marks
+    [mark] = served_page.desk.draft.marks
     np.testing.assert_allclose([mark.u, mark.v], [63.5 + 2, 47.5 + 1])
     # The new point is chosen: arrows move it, and what belongs together is one step.
     for key in ("Shift+ArrowLeft", "ArrowUp"):
         page.keyboard.press(key)
     for _ in range(200):
-        if served.desk.draft.marks[0].u != mark.u:
+        if served_page.desk.draft.marks[0].u != mark.u:
             break
         page.wait_for_timeout(50)
-    np.testing.assert_allclose([served.desk.draft.marks[0].u, served.desk.draft.marks[0].v], [55.5, 47.5])
+    np.testing.assert_allclose([served_page.desk.draft.marks[0].u, served_page.desk.draft.marks[0].v], [55.5, 47.5])
     page.keyboard.press("Control+z")
     playwright.expect(page.locator("#redo")).to_be_enabled()
-    assert served.desk.draft.marks == (mark,)
+    assert served_page.desk.draft.marks == (mark,)
     page.keyboard.press(".")
     playwright.expect(page.locator(".frame").first).to_have_value(str(int(frame) + 1))
     page.keyboard.press("Escape")
@@ -267,8 +172,8 @@ def test_everything_can_be_done_with_the_keyboard(page, served) -> None:
     assert not page.locator("#keys").is_visible()
 
 
-def test_hovering_lights_up_all_frames_and_h_turns_it_off(page, served) -> None:
-    opened(page, served.url)
+def test_hovering_lights_up_all_frames_and_h_turns_it_off(page, served_page) -> None:
+    opened(page, served_page.url)
     before = [pixels(page, view) for view in range(3)]
     page.mouse.move(*place_of(page, 60, 50))
     for view in range(3):
@@ -279,8 +184,8 @@ def test_hovering_lights_up_all_frames_and_h_turns_it_off(page, served) -> None:
         settled(page, view, lambda found, view=view: (np.abs(found - before[view]).max(axis=-1) > 30).mean() < 0.02)
 
 
-def test_each_keypoint_is_shown_where_it_is_found(page, served) -> None:
-    opened(page, served.url)
+def test_each_keypoint_is_shown_where_it_is_found(page, served_page) -> None:
+    opened(page, served_page.url)
     before = pixels(page, 1)
     click(page, 60, 50, 1)
     page.mouse.move(3, 3)
@@ -290,14 +195,14 @@ def test_each_keypoint_is_shown_where_it_is_found(page, served) -> None:
     settled(page, 1, lambda found: np.abs(found - before).max() < 20)
 
 
-def test_proposals_are_added_and_undone_as_one(page, served) -> None:
-    opened(page, served.url)
+def test_proposals_are_added_and_undone_as_one(page, served_page) -> None:
+    opened(page, served_page.url)
     page.locator("#propose").click()
     page.locator("#propose-scene").select_option("b")
     page.locator("#propose-n").fill("5")
     page.locator("#propose-go").click()
     count(page, 5)
-    assert {mark.recording for mark in served.desk.draft.marks} == {"b"}
+    assert {mark.recording for mark in served_page.desk.draft.marks} == {"b"}
     page.locator("#undo").click()
     count(page, 0)
     page.locator("#propose").click()
@@ -306,24 +211,24 @@ def test_proposals_are_added_and_undone_as_one(page, served) -> None:
     count(page, 0)
 
 
-def test_frames_change_places_and_are_kept_over_a_reload(page, served) -> None:
-    opened(page, served.url)
+def test_frames_change_places_and_are_kept_over_a_reload(page, served_page) -> None:
+    opened(page, served_page.url)
     frame_in(page, 0, "lift", 1)
     frame_in(page, 2, "b", 3)
     page.locator(".swap").nth(2).click()
     playwright.expect(page.locator(".recording").first).to_have_value("b")
     playwright.expect(page.locator(".recording").nth(2)).to_have_value("lift")
     page.reload()
-    page.locator(".view.ready").nth(6).wait_for()
+    ready(page)
     shown = [
         page.locator(".recording").nth(i).input_value() + page.locator(".frame").nth(i).input_value() for i in (0, 2)
     ]
     assert shown == ["b3", "lift1"]
 
 
-def test_a_server_that_has_ended_is_told(page, dataset, tmp_path) -> None:
+def test_a_server_that_has_ended_is_told(page, page_dataset, tmp_path) -> None:
     desk = Desk(
-        Gallery(recordings_of(dataset), untrained()),
+        Gallery(recordings_of(page_dataset), untrained()),
         Draft(tmp_path / "picks.json"),
         propose=lambda scene, n: [],
         save=lambda marks: ("", ""),
@@ -335,11 +240,3 @@ def test_a_server_that_has_ended_is_told(page, dataset, tmp_path) -> None:
     page.mouse.click(*place_of(page, 60, 50))
     playwright.expect(page.locator("#status")).to_contain_text("What was picked is kept: start it again.")
     page.is_refused = True
-
-
-@pytest.mark.skipif("BASK_SCREENSHOTS" not in os.environ, reason="only draws pictures to look at")
-def test_screenshot(page, served) -> None:
-    opened(page, served.url)
-    click(page, 60, 50, 1)
-    click(page, 70, 60, 2)
-    page.screenshot(path=Path(os.environ["BASK_SCREENSHOTS"]) / "picker.png")
