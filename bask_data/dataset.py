@@ -131,19 +131,11 @@ class Dataset:
 
     def path(self, artifact: type[Artifact], item: str = "", variant: str = "main") -> Path:
         """Where an artifact lies, whether it exists or not."""
-        path = self.root / artifact.kind
-        if artifact.has_variants:
-            path /= variant
-        return path if artifact.scope == "dataset" else path / item
+        return artifact_path(self.root, artifact, item, variant)
 
     def prepare(self, artifact: type[Artifact], variant: str = "main") -> None:
         """Make the groups above an artifact, so that any Zarr reader finds its way down."""
-        parents = [self.root, self.root / artifact.kind]
-        if artifact.has_variants and artifact.scope != "dataset":
-            parents.append(self.root / artifact.kind / variant)
-        for parent in parents:
-            if not (parent / "zarr.json").exists():
-                write_group(parent, {"bask": {"dataset": 1}} if parent == self.root else {})
+        write_groups_above(self.root, artifact, variant)
 
     def add(self, scope: str, item: str, source: Source) -> None:
         """Enter an item, or replace its source."""
@@ -209,6 +201,24 @@ class Dataset:
             if changed != current:
                 write_json_atomically(self.root / DATASET, changed.model_dump(mode="json"))
             self.file = changed
+
+
+def artifact_path(root: Path, artifact: type[Artifact], item: str = "", variant: str = "main") -> Path:
+    """Where an artifact of the dataset at `root` lies, whether it exists or not. Nothing is read."""
+    path = root / artifact.kind
+    if artifact.has_variants:
+        path /= variant
+    return path if artifact.scope == "dataset" else path / item
+
+
+def write_groups_above(root: Path, artifact: type[Artifact], variant: str = "main") -> None:
+    """Make the groups above an artifact where there are none, so that any Zarr reader finds its way down."""
+    parents = [root, root / artifact.kind]
+    if artifact.has_variants and artifact.scope != "dataset":
+        parents.append(root / artifact.kind / variant)
+    for parent in parents:
+        if not (parent / "zarr.json").exists():
+            write_group(parent, {"bask": {"dataset": 1}} if parent == root else {})
 
 
 def check_name(name: str, where: Path) -> None:

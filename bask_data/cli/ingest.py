@@ -63,7 +63,7 @@ def _add_format(format: Format) -> None:
     ]
 
     def body(source: Path, root: Path, scene: str, as_: Any, force: bool, json_: bool, **options: Any) -> None:
-        from bask_data.stages.ingest import ingest
+        from bask_data.sources.ingest import ingest
 
         values = checked_options(format.options, options, f"bask-data ingest {format.name}")
         with shown_progress():
@@ -101,7 +101,7 @@ def _add_simulator() -> None:
     ]
 
     def body(root: Path, scans: int, demonstrations: int, only: str, force: bool, json_: bool, **options: Any) -> None:
-        from bask_data.stages.simulate import simulate
+        from bask_data.sources.simulate import simulate
 
         values = checked_options(SimOptions, options, "bask-data ingest sim")
         assert isinstance(values, SimOptions)

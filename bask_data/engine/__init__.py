@@ -11,7 +11,7 @@ from bask_data.dataset import Splits
 from bask_data.engine.declare import Stage, in_order, stage
 from bask_data.engine.group import follow, is_follower, processes
 from bask_data.engine.making import Outcome, foretold, make, run
-from bask_data.engine.provenance import record
+from bask_data.engine.publishing import Origin, published, scratches
 from bask_data.engine.state import State, key_parts, state_of, state_told
 from bask_data.engine.tasks import Config, Task, parameter_files, plan, resolve
 from bask_data.params import Params
@@ -19,6 +19,7 @@ from bask_data.progress import progress
 
 __all__ = [
     "Config",
+    "Origin",
     "Outcome",
     "Params",
     "Splits",
@@ -35,9 +36,10 @@ __all__ = [
     "plan",
     "processes",
     "progress",
-    "record",
+    "published",
     "resolve",
     "run",
+    "scratches",
     "stage",
     "state_of",
     "state_told",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, as_completed
@@ -11,9 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from bask_data.artifact import MANIFEST, Manifest, digest_of, new_scratch, publish, read_manifest, seal
+from bask_data.artifact import MANIFEST, Manifest, digest_of, read_manifest
+from bask_data.dataset import write_groups_above
 from bask_data.engine.arguments import arguments_of
-from bask_data.engine.provenance import record
+from bask_data.engine.publishing import Origin, published, scratches
 from bask_data.engine.resumable import filled_resumable
 from bask_data.engine.state import State, key_parts, state_of, state_told
 from bask_data.engine.tasks import Task
@@ -70,34 +70,19 @@ def _with_notes(error: BaskError) -> str:
 
 def _make(task: Task, begun: float, force: bool) -> Manifest:
     parts = key_parts(task)
-    key = digest_of(parts)
+    makes, key = task.stage.makes, digest_of(parts)
+    origin = Origin(task.stage.name, task.stage.version, parts["params"], parts["inputs"], key)
     arguments = arguments_of(task)
-    task.dataset.prepare(task.stage.makes, task.variant)
+    write_groups_above(task.root, makes, task.variant)
 
     def fill(scratch: Path) -> Manifest:
         task.stage.function(**arguments, out=scratch)
-        manifest = seal(
-            scratch,
-            artifact=task.stage.makes,
-            stage=task.stage.name,
-            stage_version=task.stage.version,
-            params=parts["params"],
-            inputs=parts["inputs"],
-            key=key,
-        )
-        publish(scratch, task.target)
-        return manifest
+        return published(task.root, task.target, scratch, artifact=makes, origin=origin, begun=begun)
 
     if task.stage.resumable:
-        manifest = filled_resumable(task, key, fill, force)
-    else:
-        scratch = new_scratch(task.root, task.stage.makes.kind)
-        try:
-            manifest = fill(scratch)
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
-    record(task.root, task.target, begun, manifest.key)
-    return manifest
+        return filled_resumable(task, key, fill, force)
+    with scratches(task.root, [makes]) as written:
+        return fill(written[makes])
 
 
 def foretold(tasks: Sequence[Task], coming: set[Path], force: bool = False) -> Iterator[Outcome]:

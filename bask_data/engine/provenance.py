@@ -7,7 +7,6 @@ import os
 import platform
 import socket
 import sys
-import time
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,8 +14,8 @@ from bask_data import __version__
 from bask_data.artifact import write_json_atomically
 
 
-def record(root: Path, target: Path, begun: float, key: str) -> None:
-    """Write who made an artifact, when, where and at what cost; outside it, so that no digest depends on it."""
+def record(root: Path, target: Path, seconds: float, key: str) -> None:
+    """Write who made an artifact, when, where and in how many seconds; outside it, so that no digest depends on it."""
     relative = target.relative_to(root)
     write_json_atomically(
         root / "provenance" / relative.parent / f"{relative.name}.json",
@@ -25,7 +24,7 @@ def record(root: Path, target: Path, begun: float, key: str) -> None:
             "user": _user(),
             "host": socket.gethostname(),
             "time": datetime.now(UTC).isoformat(timespec="seconds"),
-            "seconds": round(time.perf_counter() - begun, 3),
+            "seconds": round(seconds, 3),
             "process_peak_bytes": _peak_bytes(),
             "bask_data": __version__,
             "python": platform.python_version(),

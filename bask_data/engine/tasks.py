@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from bask_data.artifact import MANIFEST, SCRATCH, Artifact
-from bask_data.dataset import Dataset, Splits, Variant, check_name
+from bask_data.dataset import Dataset, Splits, Variant, artifact_path, check_name
 from bask_data.engine.declare import Input, Stage
 from bask_data.errors import UsageError
 from bask_data.params import Params, first_fault
@@ -41,13 +41,9 @@ class Task:
     splits: Splits
 
     @property
-    def dataset(self) -> Dataset:
-        return Dataset(self.root)
-
-    @property
     def target(self) -> Path:
         """Where the artifact lies or will lie."""
-        return self.dataset.path(self.stage.makes, self.item, self.variant)
+        return artifact_path(self.root, self.stage.makes, self.item, self.variant)
 
     @property
     def label(self) -> str:
@@ -57,7 +53,7 @@ class Task:
 
     def input_path(self, binding: Binding) -> Path:
         """Where an input lies."""
-        return self.dataset.path(binding.artifact, binding.item, binding.variant)
+        return artifact_path(self.root, binding.artifact, binding.item, binding.variant)
 
     @property
     def input_paths(self) -> list[Path]:

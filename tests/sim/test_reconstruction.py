@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from bask_data.cli.app import app
 from bask_data.kinds import Reconstruction
 from bask_data.sim.options import SimOptions
-from bask_data.stages.simulate import simulate
+from bask_data.sources.simulate import simulate
 
 
 def test_a_camera_that_stands_still_does_not_make_the_floor_worth_reconstructing(tmp_path: Path) -> None:

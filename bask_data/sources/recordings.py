@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
-from bask_data.artifact import Artifact, new_scratch, publish, read_manifest, seal
+from bask_data.artifact import Artifact, read_manifest
 from bask_data.dataset import DATASET, Dataset
-from bask_data.engine import Outcome, record
+from bask_data.engine import Origin, Outcome, published
 from bask_data.errors import UsageError, WouldOverwrite
 from bask_data.kinds import Recording, Scan, Truth
 
@@ -63,50 +62,18 @@ def undone_if_new(root: Path) -> Iterator[None]:
         raise
 
 
-@contextmanager
-def scratches(dataset: Dataset, artifacts: Sequence[type[Artifact]]) -> Iterator[dict[type[Artifact], Path]]:
-    """A folder to write in for each artifact, gone at the end."""
-    made: dict[type[Artifact], Path] = {}
-    try:
-        for artifact in artifacts:
-            dataset.prepare(artifact)
-            made[artifact] = new_scratch(dataset.root, artifact.kind)
-        yield made
-    finally:
-        for scratch in made.values():
-            shutil.rmtree(scratch, ignore_errors=True)
-
-
-def published(
-    dataset: Dataset,
-    item: str,
-    written: dict[type[Artifact], Path],
-    begun: float,
-    *,
-    format: str,
-    version: int,
-    params: dict[str, Any],
-    inputs: dict[str, str],
-    key: str,
+def published_recording(
+    dataset: Dataset, item: str, written: dict[type[Artifact], Path], origin: Origin, begun: float
 ) -> list[Outcome]:
-    """Seal and publish artifacts in their order; the outcomes name the last one first.
+    """Publish artifacts in their order; the outcomes name the last one first.
 
     Truth goes first, so that no kill leaves a recording that has lost its own.
     """
     outcomes = []
     for artifact, scratch in written.items():
         target = dataset.path(artifact, item)
-        manifest = seal(
-            scratch,
-            artifact=artifact,
-            stage=f"ingest {format}",
-            stage_version=version,
-            params=params,
-            inputs=inputs,
-            key=key,
-        )
-        publish(scratch, target)
-        record(dataset.root, target, begun, key)
+        dataset.prepare(artifact)
+        manifest = published(dataset.root, target, scratch, artifact=artifact, origin=origin, begun=begun)
         seconds = time.perf_counter() - begun
         label = f"ingest {artifact.kind} {item}"
         outcomes.append(Outcome(label, artifact.kind, item, "main", str(target), "made", "", seconds, manifest.digest))

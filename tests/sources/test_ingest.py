@@ -12,7 +12,7 @@ from bask_data.dataset import Dataset
 from bask_data.errors import BadData, BaskError, UsageError, WouldOverwrite
 from bask_data.formats import FORMATS
 from bask_data.kinds import Demonstration, Scan, Truth
-from bask_data.stages.ingest import ingest
+from bask_data.sources.ingest import ingest
 from bask_data.validate import validate
 
 FORMAT = {format.name: format for format in FORMATS}
@@ -114,7 +114,7 @@ def test_failed_ingest_keeps_what_another_process_put_into_the_new_dataset(
         ingest(tmp_path / "d", "other", format=format, source=source, options=options)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("bask_data.stages.ingest._write", meanwhile)
+    monkeypatch.setattr("bask_data.sources.ingest._write", meanwhile)
     with pytest.raises(KeyboardInterrupt):
         frames(source, tmp_path / "d")
     assert Dataset(tmp_path / "d").items("scene") == ["other"]

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from bask_data.artifact import digest_of
 from bask_data.dataset import Dataset, Source
-from bask_data.engine import Outcome, progress
+from bask_data.engine import Origin, Outcome, progress, scratches
 from bask_data.errors import UsageError
 from bask_data.kinds import CameraFrames, Demonstration, Robot, Scan, Truth
 from bask_data.kinds.truth import TruthMetadata, TruthWriter
 from bask_data.sim.options import CAMERAS, TASKS, CameraName, SimOptions
-from bask_data.stages.recordings import is_current, published, refuse_other_scope, scratches, undone_if_new, up_to_date
+from bask_data.sources.recordings import is_current, published_recording, refuse_other_scope, undone_if_new, up_to_date
 
 if TYPE_CHECKING:
     import numpy as np
@@ -184,19 +184,10 @@ def _record(dataset: Dataset, job: Job, studio: _Studio) -> tuple[list[Outcome],
     """Simulate one recording, draw it, publish and list it."""
     begun = time.perf_counter()
     take, n_failed = _take(job, studio)
-    with scratches(dataset, [Truth, job.makes]) as written:
+    origin = Origin(f"ingest {FORMAT}", SIMULATE_VERSION, job.params, {}, job.key)
+    with scratches(dataset.root, [Truth, job.makes]) as written:
         _write(written[job.makes], written[Truth], job, take, studio)
-        outcomes = published(
-            dataset,
-            job.item,
-            written,
-            begun,
-            format=FORMAT,
-            version=SIMULATE_VERSION,
-            params=job.params,
-            inputs={},
-            key=job.key,
-        )
+        outcomes = published_recording(dataset, job.item, written, origin, begun)
     _enter(dataset, job)
     return outcomes, n_failed
 

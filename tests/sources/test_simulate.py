@@ -23,10 +23,10 @@ from bask_data.kinds import Demonstration, Scan, Truth
 from bask_data.pipeline import STAGES
 from bask_data.sim import experts
 from bask_data.sim.options import SimOptions
-from bask_data.stages import simulate as simulate_module
-from bask_data.stages.simulate import Job, simulate
+from bask_data.sources import simulate as simulate_module
+from bask_data.sources.simulate import Job, simulate
 from bask_data.validate import validate
-from tests.stages.test_ingest import everything_below
+from tests.sources.test_ingest import everything_below
 
 TINY = {"height": 24, "width": 32, "frames": 3}
 

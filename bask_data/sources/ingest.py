@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from bask_data.artifact import digest_of, file_digest
 from bask_data.dataset import DATASET, Dataset, Source, check_name
-from bask_data.engine import Outcome, progress
+from bask_data.engine import Origin, Outcome, progress, scratches
 from bask_data.errors import BadData
 from bask_data.formats import Format
 from bask_data.kinds import CameraFrames, Demonstration, Recording, Robot, Scan, Truth
 from bask_data.params import Params
-from bask_data.stages.recordings import is_current, published, refuse_other_scope, scratches, undone_if_new, up_to_date
+from bask_data.sources.recordings import is_current, published_recording, refuse_other_scope, undone_if_new, up_to_date
 
 if TYPE_CHECKING:
     from bask_data.formats import recording
@@ -74,21 +74,18 @@ def _write(
 ) -> list[Outcome]:
     dataset = Dataset.open_or_create(root)
     begun = time.perf_counter()
-    with scratches(dataset, [Truth, makes] if read.has_labels else [makes]) as written:
+    origin = Origin(
+        f"ingest {format.name}",
+        INGEST_VERSION,
+        options.model_dump(mode="json"),
+        {"source": _source_digest(source, read)},
+        key,
+    )
+    with scratches(dataset.root, [Truth, makes] if read.has_labels else [makes]) as written:
         if read.has_labels:
             _write_truth(written[Truth], read)
         _write_recording(written[makes], makes, format, read)
-        outcomes = published(
-            dataset,
-            item,
-            written,
-            begun,
-            format=format.name,
-            version=INGEST_VERSION,
-            params=options.model_dump(mode="json"),
-            inputs={"source": _source_digest(source, read)},
-            key=key,
-        )
+        outcomes = published_recording(dataset, item, written, origin, begun)
     _enter(dataset, item, format, source, options, makes, read)
     return outcomes
 
