@@ -131,7 +131,7 @@ class Dataset:
 
     def path(self, artifact: type[Artifact], item: str = "", variant: str = "main") -> Path:
         """Where an artifact lies, whether it exists or not."""
-        return artifact_path(self.root, artifact, item, variant)
+        return self.root / artifact_place(artifact, item, variant)
 
     def prepare(self, artifact: type[Artifact], variant: str = "main") -> None:
         """Make the groups above an artifact, so that any Zarr reader finds its way down."""
@@ -203,12 +203,14 @@ class Dataset:
             self.file = changed
 
 
-def artifact_path(root: Path, artifact: type[Artifact], item: str = "", variant: str = "main") -> Path:
-    """Where an artifact of the dataset at `root` lies, whether it exists or not. Nothing is read."""
-    path = root / artifact.kind
+def artifact_place(artifact: type[Artifact], item: str = "", variant: str = "main") -> str:
+    """Where an artifact lies below its dataset's directory, with forward slashes. Nothing is read."""
+    parts = [artifact.kind]
     if artifact.has_variants:
-        path /= variant
-    return path if artifact.scope == "dataset" else path / item
+        parts.append(variant)
+    if artifact.scope != "dataset":
+        parts.append(item)
+    return "/".join(parts)
 
 
 def write_groups_above(root: Path, artifact: type[Artifact], variant: str = "main") -> None:

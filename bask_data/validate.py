@@ -170,6 +170,7 @@ def _unlisted(dataset: Dataset) -> Iterator[Problem]:
     for kind in KINDS:
         if kind.scope == "dataset":
             continue
+        listed = set(dataset.items(kind.scope))
         folders = (
             [dataset.root / kind.kind / variant for variant in dataset.variants(kind)]
             if kind.has_variants
@@ -179,7 +180,7 @@ def _unlisted(dataset: Dataset) -> Iterator[Problem]:
             if not folder.is_dir():
                 continue
             for entry in sorted(folder.iterdir()):
-                if entry.is_dir() and entry.name not in dataset.items(kind.scope):
+                if entry.is_dir() and entry.name not in listed:
                     yield Problem(
                         _relative(entry, dataset.root), "not listed in dataset.json.", "remove it, or ingest it."
                     )

@@ -101,6 +101,11 @@ def test_missing_input_blocks_and_names_it(dataset: Dataset) -> None:
         ("blocked", "reconstruction/a is missing"),
         ("blocked", "reconstruction/b is missing"),
     ]
+    blocked = outcomes[0].blocked
+    assert blocked is not None
+    assert blocked.kind == "input missing"
+    assert blocked.fix == "make it first, or `bask-data run`."
+    assert blocked.paths == (dataset.path(Reconstruction, "a"),)
 
 
 def test_failure_of_one_item_leaves_the_others_and_the_old_artifact(dataset: Dataset) -> None:
@@ -318,5 +323,9 @@ def test_inputs_that_the_parameters_do_without_need_not_exist_and_are_no_part_of
 def test_a_dataset_without_what_all_is_read_of_is_blocked_but_not_where_none_is_wanted(tmp_path: Path) -> None:
     empty = Dataset.create(tmp_path / "empty")
     [task] = plan(empty, label, options={"described": False})
-    assert state_of(task) == State("blocked", "the dataset has no scenes")
+    state = state_of(task)
+    assert (state.status, state.why) == ("blocked", "the dataset has no scenes")
+    assert state.blocked is not None
+    assert (state.blocked.kind, state.blocked.paths) == ("no items", ())
+    assert state.blocked.fix == "bask-data ingest FORMAT SOURCE ROOT --scene NAME --as scan"
     assert statuses(empty, label, options={"scans": (), "described": False}) == ["made"]

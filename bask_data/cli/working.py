@@ -75,10 +75,9 @@ def finish(command: str, outcomes: Sequence[Outcome], as_json: bool, next_comman
         say(f"{len(failed)} failed, {len(blocked)} blocked, {len(outcomes) - len(failed) - len(blocked)} fine.")
         raise typer.Exit(failed[0].error.exit_code if failed[0].error else 1)
     if blocked:
-        fix = "make it first, or `bask-data run`."
-        if any("has no scenes" in outcome.why for outcome in blocked):
-            fix = "bask-data ingest FORMAT SOURCE ROOT --scene NAME --as scan"
-        say(f"{len(blocked)} blocked: an input is missing.  fix: {fix}")
+        # What lacks a recording comes before what lacks the results of others.
+        reasons = sorted((o.blocked for o in blocked if o.blocked), key=lambda reason: reason.kind != "no items")
+        say(f"{len(blocked)} blocked: an input is missing.  fix: {reasons[0].fix}")
         raise typer.Exit(UsageError.exit_code)
     if next_command:
         say(f"next: {next_command}")

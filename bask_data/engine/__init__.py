@@ -12,16 +12,19 @@ from bask_data.engine.declare import Stage, in_order, stage
 from bask_data.engine.group import follow, is_follower, processes
 from bask_data.engine.making import Outcome, foretold, make, run
 from bask_data.engine.publishing import Origin, published, scratches
-from bask_data.engine.state import State, key_parts, state_of, state_told
+from bask_data.engine.snapshot import Snapshot
+from bask_data.engine.state import Blocked, State, key_parts, state_of, state_told
 from bask_data.engine.tasks import Config, Task, parameter_files, plan, resolve
 from bask_data.params import Params
 from bask_data.progress import progress
 
 __all__ = [
+    "Blocked",
     "Config",
     "Origin",
     "Outcome",
     "Params",
+    "Snapshot",
     "Splits",
     "Stage",
     "State",

@@ -8,14 +8,15 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
-from bask_data.artifact import MANIFEST, Manifest, digest_of, read_manifest
+from bask_data.artifact import Manifest, digest_of, read_manifest
 from bask_data.dataset import write_groups_above
 from bask_data.engine.arguments import arguments_of
 from bask_data.engine.publishing import Origin, published, scratches
 from bask_data.engine.resumable import filled_resumable
-from bask_data.engine.state import State, key_parts, state_of, state_told
+from bask_data.engine.snapshot import Live, Snapshot
+from bask_data.engine.state import Blocked, State, key_parts, state_of, state_told
 from bask_data.engine.tasks import Task
 from bask_data.errors import BaskError
 from bask_data.progress import report
@@ -23,7 +24,15 @@ from bask_data.progress import report
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a task."""
+    """What became of a task.
+
+    Args:
+        why: in words, why it was made, or was not.
+        seconds: that the work took.
+        digest: of the artifact's content, where there is one.
+        error: what a failure raised, where it is one of ours.
+        blocked: the reason for the status `blocked`.
+    """
 
     label: str
     kind: str
@@ -35,6 +44,7 @@ class Outcome:
     seconds: float = 0.0
     digest: str = ""
     error: BaskError | None = None
+    blocked: Blocked | None = None
 
 
 def make(task: Task, force: bool = False) -> Outcome:
@@ -45,7 +55,7 @@ def make(task: Task, force: bool = False) -> Outcome:
     try:
         state = state_of(task)
         if state.status == "blocked":
-            return replace(outcome, status="blocked", why=state.why)
+            return replace(outcome, status="blocked", why=state.why, blocked=state.blocked)
         if state.status == "up to date" and not force:
             return replace(outcome, status="up to date", digest=read_manifest(task.target).digest)
         manifest = _make(task, begun, force)
@@ -85,22 +95,34 @@ def _make(task: Task, begun: float, force: bool) -> Manifest:
         return fill(written[makes])
 
 
-def foretold(tasks: Sequence[Task], coming: set[Path], force: bool = False) -> Iterator[Outcome]:
+def foretold(
+    tasks: Sequence[Task], coming: set[Path], force: bool = False, *, seen: Live | None = None
+) -> Iterator[Outcome]:
     """What `run` would do, and why.
 
     Args:
         coming: paths of what earlier stages would make; what these tasks would is added.
+        seen: what is there; a snapshot of its own by default.
     """
+    seen = seen or Snapshot()
     for task in tasks:
-        state = state_told(task)
-        lacking = [path for path in task.input_paths if not (path / MANIFEST).exists()]
-        if state.status == "blocked" and lacking and coming.issuperset(lacking):
+        state = state_told(task, seen)
+        lacking = state.blocked.paths if state.blocked else ()
+        if lacking and coming.issuperset(lacking):
             state = State("missing", f"after {', '.join(path.relative_to(task.root).as_posix() for path in lacking)}")
         would = state.status in ("missing", "stale") or (force and state.status == "up to date")
         if would:
             coming.add(task.target)
-        status: Any = "would make" if would else state.status
-        yield Outcome(task.label, task.stage.makes.kind, task.item, task.variant, str(task.target), status, state.why)
+        yield Outcome(
+            task.label,
+            task.stage.makes.kind,
+            task.item,
+            task.variant,
+            str(task.target),
+            "would make" if would else cast(Any, state.status),
+            state.why,
+            blocked=state.blocked,
+        )
 
 
 def run(tasks: Sequence[Task], *, executor: Executor | None = None, force: bool = False) -> Iterator[Outcome]:

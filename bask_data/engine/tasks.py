@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from bask_data.artifact import MANIFEST, SCRATCH, Artifact
-from bask_data.dataset import Dataset, Splits, Variant, artifact_path, check_name
+from bask_data.dataset import Dataset, Splits, Variant, artifact_place, check_name
 from bask_data.engine.declare import Input, Stage
 from bask_data.errors import UsageError
 from bask_data.params import Params, first_fault
@@ -27,6 +27,11 @@ class Binding:
     item: str
     variant: str
 
+    @property
+    def place(self) -> str:
+        """Where it lies below the dataset's directory, with forward slashes."""
+        return artifact_place(self.artifact, self.item, self.variant)
+
 
 @dataclass(frozen=True)
 class Task:
@@ -41,9 +46,14 @@ class Task:
     splits: Splits
 
     @property
+    def place(self) -> str:
+        """Where the artifact lies below the dataset's directory, with forward slashes."""
+        return artifact_place(self.stage.makes, self.item, self.variant)
+
+    @property
     def target(self) -> Path:
         """Where the artifact lies or will lie."""
-        return artifact_path(self.root, self.stage.makes, self.item, self.variant)
+        return self.root / self.place
 
     @property
     def label(self) -> str:
@@ -51,14 +61,19 @@ class Task:
         parts = [self.stage.name, self.variant if self.variant != "main" else "", self.item]
         return " ".join(part for part in parts if part)
 
+    @property
+    def bindings(self) -> list[Binding]:
+        """All that it reads, in order."""
+        return [binding for bindings in self.inputs.values() for binding in bindings]
+
     def input_path(self, binding: Binding) -> Path:
         """Where an input lies."""
-        return artifact_path(self.root, binding.artifact, binding.item, binding.variant)
+        return self.root / binding.place
 
     @property
     def input_paths(self) -> list[Path]:
         """Where all of them lie, in order."""
-        return [self.input_path(binding) for bindings in self.inputs.values() for binding in bindings]
+        return [self.input_path(binding) for binding in self.bindings]
 
     def resumable_scratch(self, key: str) -> Path:
         """The scratch directory of a resumable stage, named by the skip key: what a kill leaves in place."""
@@ -83,7 +98,8 @@ def plan(
     """
     makes = stage.makes
     items = dataset.items(makes.scope) if makes.scope != "dataset" else [""]
-    unknown = [name for name in only if name not in items]
+    there = set(items)
+    unknown = [name for name in only if name not in there]
     if unknown and makes.scope != "dataset":
         raise UsageError(
             dataset.root, "--only", expected=f"one of {', '.join(items) or 'no items yet'}", got=", ".join(unknown)
@@ -94,9 +110,10 @@ def plan(
     for name in (variant, *chosen.values()):
         check_name(name, dataset.root)
     _refuse_unknown_sections(dataset, stage, config or {}, variant)
+    wanted = set(only) if only and makes.scope != "dataset" else there
     tasks = []
     for item in items:
-        if only and makes.scope != "dataset" and item not in only:
+        if item not in wanted:
             continue
         params = resolve(stage, config or {}, item, variant, options or {})
         inputs = {
@@ -162,7 +179,8 @@ def _items_of(dataset: Dataset, given: Input, item: str, params: Params) -> list
             # No stage makes what belongs to recordings: their source brings it, or there is none.
             sources, kind = {**dataset.file.scenes, **dataset.file.demonstrations}, given.artifact
             items = [name for name in items if sources[name].truth or (dataset.path(kind, name) / MANIFEST).exists()]
-        return [name for name in items if read is None or name in read]
+        chosen = None if read is None else set(read)
+        return [name for name in items if chosen is None or name in chosen]
     if read == ():
         return []
     return [""] if given.artifact.scope == "dataset" else [item]
