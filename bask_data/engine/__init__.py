@@ -10,23 +10,32 @@ artifact for what differs from run to run. Exactly one stage makes a kind, so th
 from bask_data.dataset import Splits
 from bask_data.engine.declare import Stage, in_order, stage
 from bask_data.engine.group import follow, is_follower, processes
-from bask_data.engine.making import Outcome, foretold, make, run
+from bask_data.engine.making import Outcome, Position, foretold, make, run
+from bask_data.engine.pipeline import PlannedStage, Standing, planned, run_pipeline, status
 from bask_data.engine.publishing import Origin, published, scratches
+from bask_data.engine.requested import REQUESTED, Requested, RunRequest, read_requested, record_requested
+from bask_data.engine.sections import Config
 from bask_data.engine.snapshot import Snapshot
 from bask_data.engine.state import Blocked, State, key_parts, state_of, state_told
-from bask_data.engine.tasks import Config, Task, parameter_files, plan, resolve
+from bask_data.engine.tasks import Task, parameter_files, plan, resolve
 from bask_data.params import Params
 from bask_data.progress import progress
 
 __all__ = [
+    "REQUESTED",
     "Blocked",
     "Config",
     "Origin",
     "Outcome",
     "Params",
+    "PlannedStage",
+    "Position",
+    "Requested",
+    "RunRequest",
     "Snapshot",
     "Splits",
     "Stage",
+    "Standing",
     "State",
     "Task",
     "follow",
@@ -37,13 +46,18 @@ __all__ = [
     "make",
     "parameter_files",
     "plan",
+    "planned",
     "processes",
     "progress",
     "published",
+    "read_requested",
+    "record_requested",
     "resolve",
     "run",
+    "run_pipeline",
     "scratches",
     "stage",
     "state_of",
     "state_told",
+    "status",
 ]

@@ -17,9 +17,28 @@ from bask_data.engine.publishing import Origin, published, scratches
 from bask_data.engine.resumable import filled_resumable
 from bask_data.engine.snapshot import Live, Snapshot
 from bask_data.engine.state import Blocked, State, key_parts, state_of, state_told
-from bask_data.engine.tasks import Task
+from bask_data.engine.tasks import Task, parameter_files
 from bask_data.errors import BaskError
 from bask_data.progress import report
+
+
+@dataclass(frozen=True)
+class Position:
+    """Where a run of several stages is.
+
+    Args:
+        stage_number: of `n_stages`, from 1; a stage that makes several variants counts once for each.
+        item: empty for what belongs to the dataset, and where several are worked on at the same time.
+        item_number: of `n_items`, from 1; of an outcome, how many have come.
+    """
+
+    stage: str
+    variant: str
+    stage_number: int
+    n_stages: int
+    item: str
+    item_number: int
+    n_items: int
 
 
 @dataclass(frozen=True)
@@ -32,6 +51,7 @@ class Outcome:
         digest: of the artifact's content, where there is one.
         error: what a failure raised, where it is one of ours.
         blocked: the reason for the status `blocked`.
+        position: in a run of several stages.
     """
 
     label: str
@@ -45,6 +65,7 @@ class Outcome:
     digest: str = ""
     error: BaskError | None = None
     blocked: Blocked | None = None
+    position: Position | None = None
 
 
 def make(task: Task, force: bool = False) -> Outcome:
@@ -57,7 +78,7 @@ def make(task: Task, force: bool = False) -> Outcome:
         if state.status == "blocked":
             return replace(outcome, status="blocked", why=state.why, blocked=state.blocked)
         if state.status == "up to date" and not force:
-            return replace(outcome, status="up to date", digest=read_manifest(task.target).digest)
+            return replace(outcome, status="up to date", why=state.why, digest=read_manifest(task.target).digest)
         manifest = _make(task, begun, force)
     except BaskError as error:
         return replace(
@@ -79,6 +100,7 @@ def _with_notes(error: BaskError) -> str:
 
 
 def _make(task: Task, begun: float, force: bool) -> Manifest:
+    parameter_files(task)  # A key can be told of a file that is not here, but nothing can be made of it.
     parts = key_parts(task)
     makes, key = task.stage.makes, digest_of(parts)
     origin = Origin(task.stage.name, task.stage.version, parts["params"], parts["inputs"], key)

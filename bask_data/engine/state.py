@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from bask_data.artifact import MANIFEST, digest_of
 from bask_data.engine.snapshot import LIVE, Live, Made
-from bask_data.engine.tasks import Binding, Task, parameter_files
+from bask_data.engine.tasks import Binding, Task, named_files, parameter_files
 from bask_data.errors import BadData, BaskError
 from bask_data.kinds import Recording
 
@@ -62,8 +62,15 @@ def key_parts(task: Task, seen: Live = LIVE) -> dict[str, Any]:
     }
     if task.stage.wants_splits:
         parts["splits"] = task.splits.model_dump(mode="json")
-    files = {name: seen.file_digest(path) for name, path in parameter_files(task).items()}
+    files = {name: _digest_of(task, name, file, seen) for name, file in named_files(task.stage, task.params).items()}
     return {**parts, "files": files} if files else parts
+
+
+def _digest_of(task: Task, name: str, file: Path, seen: Live) -> str:
+    """What a file holds that a parameter names; as it is recorded where it is not there."""
+    if not file.is_file() and str(file) in task.recorded_files:
+        return task.recorded_files[str(file)]
+    return seen.file_digest(parameter_files(task)[name])
 
 
 def state_of(task: Task, seen: Live = LIVE) -> State:
@@ -83,7 +90,7 @@ def state_of(task: Task, seen: Live = LIVE) -> State:
         return State("stale", "its manifest is missing or broken")
     parts = key_parts(task, seen)
     if made.key == digest_of(parts):
-        return State("up to date")
+        return State("up to date", _unseen_files(task))
     return State("stale", _difference(made, parts))
 
 
@@ -97,7 +104,8 @@ def state_told(task: Task, seen: Live = LIVE) -> State:
     except BadData as error:
         return State("blocked", str(error), Blocked("input broken", error.fault, error.fix or "make it again."))
     except BaskError as error:
-        return State("blocked", str(error), Blocked("file missing", error.fault, error.fix))
+        words = f"cannot tell whether it is up to date: {error}" if seen.exists(task.target) else str(error)
+        return State("blocked", words, Blocked("file missing", error.fault, error.fix))
 
 
 def _lack(task: Task, seen: Live) -> Blocked | None:
@@ -128,6 +136,12 @@ def _instead(task: Task, binding: Binding) -> str:
     folder = (task.root / binding.place).parent
     others = sorted(manifest.parent.name for manifest in folder.glob(f"*/{MANIFEST}"))
     return f"; there is --{binding.artifact.kind} {', '.join(others)}" if others else ""
+
+
+def _unseen_files(task: Task) -> str:
+    """Files that this machine lacks and the result depends on, in words."""
+    files = [file for file in named_files(task.stage, task.params).values() if not file.is_file()]
+    return f"{', '.join(map(str, files))} is not there; compared with what is recorded of it" if files else ""
 
 
 def _difference(made: Made, parts: dict[str, Any]) -> str:

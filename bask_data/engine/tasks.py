@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,10 @@ from pydantic import ValidationError
 from bask_data.artifact import MANIFEST, SCRATCH, Artifact
 from bask_data.dataset import Dataset, Splits, Variant, artifact_place, check_name
 from bask_data.engine.declare import Input, Stage
-from bask_data.errors import UsageError
+from bask_data.engine.requested import REQUESTED, Requested, read_requested, variant_names
+from bask_data.engine.sections import Config, laid_over, of_stage, sections_for
+from bask_data.errors import BadData, UsageError
 from bask_data.params import Params, first_fault
-
-Config = dict[str, dict[str, Any]]
-"""Parameters by section: the name of a stage, or `stage@name` for one item or variant."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +43,8 @@ class Task:
     params: Params
     inputs: dict[str, tuple[Binding, ...]]
     splits: Splits
+    recorded_files: dict[str, str] = field(default_factory=dict)
+    """SHA-256 by path, of files that parameters name and this machine may lack."""
 
     @property
     def place(self) -> str:
@@ -89,12 +90,20 @@ def plan(
     only: Sequence[str] = (),
     variant: str = "main",
     variant_inputs: dict[str, str] | None = None,
+    requested: Requested | None = None,
 ) -> list[Task]:
     """The tasks of a stage: one an item, or one for the dataset.
 
     Args:
+        config: parameters by section; they go over what is recorded.
+        options: parameters that go over both.
         only: names of items; empty means all.
         variant_inputs: variant of each input kind that has them; else as `dataset.json` says, else `variant`.
+        requested: what is recorded of the dataset; read from it by default.
+
+    Raises:
+        UsageError: an item, a variant, a section or a parameter is not what it may be.
+        BadData: what is recorded is not.
     """
     makes = stage.makes
     items = dataset.items(makes.scope) if makes.scope != "dataset" else [""]
@@ -104,18 +113,20 @@ def plan(
         raise UsageError(
             dataset.root, "--only", expected=f"one of {', '.join(items) or 'no items yet'}", got=", ".join(unknown)
         )
-    recorded = dataset.variants(makes).get(variant, Variant()).inputs
-    chosen = {**recorded, **(variant_inputs or {})}
+    recorded_inputs = dataset.variants(makes).get(variant, Variant()).inputs
+    chosen = {**recorded_inputs, **(variant_inputs or {})}
     # They become names of folders, and what stands in a target's place is replaced.
     for name in (variant, *chosen.values()):
         check_name(name, dataset.root)
     _refuse_unknown_sections(dataset, stage, config or {}, variant)
+    requested = read_requested(dataset.root) if requested is None else requested
+    parameters = _Parameters(dataset, stage, variant, config or {}, options or {}, requested)
     wanted = set(only) if only and makes.scope != "dataset" else there
     tasks = []
     for item in items:
         if item not in wanted:
             continue
-        params = resolve(stage, config or {}, item, variant, options or {})
+        params = parameters.of(item)
         inputs = {
             given.name: tuple(
                 Binding(
@@ -127,6 +138,7 @@ def plan(
             )
             for given in stage.inputs
         }
+        files = named_files(stage, params).values()
         tasks.append(
             Task(
                 root=dataset.root,
@@ -136,29 +148,77 @@ def plan(
                 params=params,
                 inputs=inputs,
                 splits=dataset.file.splits if stage.wants_splits else Splits(),
+                recorded_files={
+                    str(file): requested.files[str(file)] for file in files if str(file) in requested.files
+                },
             )
         )
     return tasks
 
 
+class _Parameters:
+    """The parameters of a stage's tasks: options over configuration over what is recorded over defaults."""
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        stage: Stage,
+        variant: str,
+        config: Config,
+        options: dict[str, Any],
+        requested: Requested,
+    ) -> None:
+        self._root, self._stage, self._variant = dataset.root, stage, variant
+        self._config, self._options = config, options
+        self._recorded = of_stage(requested.parameters, stage.name)
+        self._laid = laid_over(self._recorded, config, stage.name, variant_names(dataset, stage, variant))
+        self._shared: Params | None = None
+
+    def of(self, item: str) -> Params:
+        """The parameters of one item's task. Those for which no section is of an item of theirs are one object."""
+        own = sections_for(self._stage.name, item, self._variant)[2:]
+        if any(section in self._laid for section in own):
+            return self._resolved(item)
+        if self._shared is None:
+            self._shared = self._resolved(item)
+        return self._shared
+
+    def _resolved(self, item: str) -> Params:
+        try:
+            return resolve(self._stage, self._laid, item, self._variant, self._options)
+        except UsageError as error:
+            name = error.field.split(".")[0]
+            sections = sections_for(self._stage.name, item, self._variant)
+            asked = {**self._options, **{key: 0 for section in sections for key in self._config.get(section, {})}}
+            faulty = [section for section in sections if name in self._recorded.get(section, {})]
+            if name in asked or not faulty:
+                raise
+            fix = f"forget it: bask-data {self._stage.name} {self._root} --defaults"
+            where = f"parameters.{faulty[-1]}.{error.field}"
+            raise BadData(self._root / REQUESTED, where, expected=error.expected, got=error.got, fix=fix) from error
+
+
 def resolve(stage: Stage, config: Config, item: str, variant: str, options: dict[str, Any]) -> Params:
-    """The parameters of one task: options over `stage@item` over `stage@variant` over `stage` over defaults."""
+    """The parameters of one task: options over sections, a narrow one over a wide one, over defaults.
+
+    Raises:
+        UsageError: a parameter is not what it may be.
+    """
     values: dict[str, Any] = {}
-    sections = [stage.name, f"{stage.name}@{variant}", f"{stage.name}@{item}"]
-    for section in sections:
+    for section in sections_for(stage.name, item, variant):
         values.update(config.get(section) or {})
     values.update(options)
     try:
         return stage.params.model_validate(values)
     except ValidationError as error:
-        field, expected, came = first_fault(error)
+        name, expected, came = first_fault(error)
         known = ", ".join(stage.params.model_fields)
         fix = (
             f"see `bask-data {stage.name} --help`."
-            if field.split(".")[0] in stage.params.model_fields
+            if name.split(".")[0] in stage.params.model_fields
             else f"one of {known}."
         )
-        raise UsageError(stage.name, field, expected=expected, got=came, fix=fix) from error
+        raise UsageError(stage.name, name, expected=expected, got=came, fix=fix) from error
 
 
 def _refuse_unknown_sections(dataset: Dataset, stage: Stage, config: Config, variant: str) -> None:
@@ -166,8 +226,9 @@ def _refuse_unknown_sections(dataset: Dataset, stage: Stage, config: Config, var
     items = dataset.items(stage.makes.scope) if stage.makes.scope != "dataset" else []
     known = dict.fromkeys([*items, *dataset.variants(stage.makes), variant])
     for section in config:
-        name, _, of = section.partition("@")
-        if name == stage.name and of and of not in known:
+        name, *names = section.split("@")
+        of = "@".join(names)
+        if name == stage.name and (len(names) > 2 or any(part not in known for part in names)):
             raise UsageError(section, "", expected=f"{name}@ and one of {', '.join(known)}", got=of)
 
 
@@ -186,19 +247,27 @@ def _items_of(dataset: Dataset, given: Input, item: str, params: Params) -> list
     return [""] if given.artifact.scope == "dataset" else [item]
 
 
-def parameter_files(task: Task) -> dict[str, Path]:
-    """Files that parameters name, by parameter: what they hold is part of the key.
+def named_files(stage: Stage, params: Params) -> dict[str, Path]:
+    """Files that parameters name, by parameter: what they hold is part of the key. They need not exist.
 
     Such a field is declared with `json_schema_extra={"file": True}`.
+    """
+    found = {}
+    for name, declared in stage.params.model_fields.items():
+        value, extra = getattr(params, name), declared.json_schema_extra
+        if isinstance(extra, dict) and extra.get("file") and value:
+            found[name] = Path(value)
+    return found
+
+
+def parameter_files(task: Task) -> dict[str, Path]:
+    """Files that a task reads besides its inputs, by parameter.
 
     Raises:
         UsageError: a file does not exist.
     """
-    found = {}
-    for name, field in task.stage.params.model_fields.items():
-        value = getattr(task.params, name)
-        if isinstance(field.json_schema_extra, dict) and field.json_schema_extra.get("file") and value:
-            found[name] = Path(value)
-            if not found[name].is_file():
-                raise UsageError(task.stage.name, name, expected="a file", got=str(value), fix="check the path.")
+    found = named_files(task.stage, task.params)
+    for name, file in found.items():
+        if not file.is_file():
+            raise UsageError(task.stage.name, name, expected="a file", got=str(file), fix="check the path.")
     return found

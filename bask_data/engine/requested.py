@@ -1,0 +1,165 @@
+"""Parameters that a dataset's artifacts were requested with: they travel with it, in `requested.json`.
+
+What somebody asks for with `--config`, `--set` or an option is no part of the code, so without this file everyone else
+who opens the dataset would compare its artifacts with other parameters, and find them stale. docs/decisions/0061.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from filelock import FileLock
+from pydantic import BaseModel, ConfigDict, JsonValue, StringConstraints, ValidationError
+from pydantic_core import to_jsonable_python
+
+from bask_data.artifact import SCRATCH, canonical_json, file_digest, read_json, write_json_atomically
+from bask_data.dataset import Dataset
+from bask_data.engine.declare import Stage
+from bask_data.engine.sections import Config, laid_over, of_stage, within
+from bask_data.errors import BadData
+from bask_data.params import first_fault
+from bask_data.progress import tell
+
+REQUESTED = "requested.json"
+_RESTORE = "restore the file, or delete it and give the parameters again."
+
+_SECTION = re.compile(r"[a-z_]+(@[A-Za-z0-9][A-Za-z0-9_-]{0,63}){0,2}")
+_Digest = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
+
+
+class Requested(BaseModel):
+    """The content of `requested.json`.
+
+    Args:
+        parameters: by section, as in `params.yaml`; of one item in one variant also `stage@variant@item`.
+        files: SHA-256 by path, of every file that a parameter names: another machine, which does not have the file, can
+            tell by it what is up to date.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    bask_requested: Literal[1] = 1
+    parameters: dict[str, dict[str, JsonValue]] = {}
+    files: dict[str, _Digest] = {}
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """What a run is asked to make, and with which parameters.
+
+    Of the parameters, `options` go over `given`, these over `standing`, these over what the dataset has recorded, and
+    that over the defaults.
+
+    Args:
+        stages: names of stages; empty for all.
+        only: names of scenes or demonstrations; empty for all.
+        variant: of the results; None for all that the dataset lists.
+        variant_inputs: variant of each input kind that has them.
+        options: of one stage.
+        given: by section, of `--config FILE`, `--preset` and `--set`; recorded, as options are.
+        standing: by section, of the dataset's own params.yaml. It travels by itself, so it is not recorded.
+        replaces: what is recorded of the stages is neither used nor kept: with `--config FILE` or `--defaults`.
+    """
+
+    stages: tuple[str, ...] = ()
+    only: tuple[str, ...] = ()
+    variant: str | None = None
+    variant_inputs: dict[str, str] = field(default_factory=dict)
+    options: dict[str, Any] = field(default_factory=dict)
+    given: Config = field(default_factory=dict)
+    standing: Config = field(default_factory=dict)
+    replaces: bool = False
+
+
+def read_requested(root: Path, stages: Iterable[Stage] = ()) -> Requested:
+    """What was requested of the dataset at `root`; nothing where there is no such file.
+
+    Args:
+        stages: all there are, to refuse sections of others; empty: sections of any name pass.
+
+    Raises:
+        BadData: the file is too large, no JSON, or says what it may not.
+    """
+    file = root / REQUESTED
+    if not file.exists():
+        return Requested()
+    document = read_json(file)
+    try:
+        canonical_json(document)  # NaN and infinity are no JSON, but Python reads them.
+        requested = Requested.model_validate(document)
+    except ValidationError as error:
+        name, expected, came = first_fault(error)
+        raise BadData(file, name, expected=expected, got=came, fix=_RESTORE) from error
+    except ValueError as error:
+        raise BadData(file, "", expected="finite numbers", got=str(error), fix=_RESTORE) from error
+    known = [stage.name for stage in stages]
+    for section in requested.parameters:
+        if not _SECTION.fullmatch(section) or (known and section.partition("@")[0] not in known):
+            expected = f"one of {', '.join(known)}" if known else "stage, stage@name or stage@variant@item"
+            raise BadData(file, "parameters", expected=expected, got=section[:80], fix=_RESTORE)
+    return requested
+
+
+def record_requested(
+    dataset: Dataset, stage: Stage, request: RunRequest, *, items: Sequence[str] = (), files: Iterable[Path] = ()
+) -> None:
+    """Record what a stage was requested with, beside what is recorded of others and of other items and variants.
+
+    Args:
+        items: that the request is for; empty for all there are or will be.
+        files: that parameters name.
+    """
+    found = {str(file): file_digest(file) for file in set(files) if file.is_file()}
+    if not (found or request.replaces or request.options or of_stage(request.given, stage.name)):
+        return
+    try:
+        (dataset.root / SCRATCH).mkdir(exist_ok=True)
+        with FileLock(dataset.root / SCRATCH / "requested.lock"):
+            current = read_requested(dataset.root)
+            own = of_stage(current.parameters, stage.name)
+            others = {section: values for section, values in current.parameters.items() if section not in own}
+            own = _recorded(own, dataset, stage, request, items or None)
+            parameters = dict(sorted({**others, **own}.items()))
+            changed = Requested(parameters=parameters, files={**current.files, **found})
+            if changed != current:
+                write_json_atomically(dataset.root / REQUESTED, changed.model_dump(mode="json"))
+    except OSError as error:
+        # What was made is good, and whoever may not write here knows what was asked for.
+        tell(f"{stage.name}: {REQUESTED} cannot be written, so the dataset does not keep these parameters: {error}")
+
+
+def _recorded(own: Config, dataset: Dataset, stage: Stage, request: RunRequest, items: Sequence[str] | None) -> Config:
+    """The sections of a stage after a request."""
+    makes, variant = stage.makes, request.variant
+    names = variant_names(dataset, stage, variant)
+    scope = None if variant is None or not makes.has_variants else [variant]
+
+    def asked(values: Config) -> Config:
+        return within(values, stage.name, scope, items, names)
+
+    if request.replaces and scope is None and items is None:
+        own = {}
+    elif request.replaces:
+        # What is recorded of more than these stays, so the defaults are written over it.
+        fields = stage.params.model_fields
+        defaults = {
+            name: fields[name].get_default(call_default_factory=True)
+            for values in own.values()
+            for name in values
+            if name in fields and not fields[name].is_required()
+        }
+        own = laid_over(own, asked({stage.name: defaults}), stage.name, names)
+    own = laid_over(own, asked(request.given), stage.name, names)
+    own = laid_over(own, asked({stage.name: request.options}), stage.name, names)
+    return to_jsonable_python(own, fallback=str)
+
+
+def variant_names(dataset: Dataset, stage: Stage, variant: str | None = None) -> list[str]:
+    """Names that stand for variants in sections of a stage: the listed ones, and one that may be new."""
+    if not stage.makes.has_variants:
+        return []
+    return list(dict.fromkeys([*dataset.variants(stage.makes), *([variant] if variant else [])]))

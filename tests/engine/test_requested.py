@@ -1,0 +1,239 @@
+from __future__ import annotations
+
+import json
+from itertools import product
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bask_data.dataset import Dataset
+from bask_data.engine import REQUESTED, Requested, RunRequest, plan, read_requested, run_pipeline, status
+from bask_data.engine.sections import Config, laid_over, sections_for, within
+from bask_data.errors import BadData
+from bask_data.kinds import Reconstruction
+from tests.datasets import add_scan
+from tests.toy_stages import fuse, label, learn, pick
+
+STAGES = (fuse, pick)
+VARIANTS, ITEMS = ("main", "big"), ("a", "b")
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Dataset:
+    dataset = Dataset.create(tmp_path / "table")
+    add_scan(dataset, "a")
+    add_scan(dataset, "b")
+    return dataset
+
+
+def made(dataset: Dataset, **asked: object) -> list[str]:
+    request = RunRequest(**{"stages": ("fuse",), **asked})  # type: ignore[arg-type]
+    return [outcome.status for outcome in run_pipeline(dataset, STAGES, request)]
+
+
+def stale(dataset: Dataset) -> list[str]:
+    """Labels of what is not up to date for somebody who opens the dataset and gives no parameters."""
+    request = RunRequest(stages=("fuse",))
+    return [
+        there.label for there in status(Dataset(dataset.root), STAGES, request) if there.state.status != "up to date"
+    ]
+
+
+def parameters(dataset: Dataset) -> Config:
+    return read_requested(dataset.root, STAGES).parameters
+
+
+def test_what_was_made_with_options_is_up_to_date_for_who_gives_none(dataset: Dataset) -> None:
+    assert made(dataset, options={"voxel_size": 0.2}) == ["made", "made"]
+    assert parameters(dataset) == {"fuse": {"voxel_size": 0.2}}
+    assert stale(dataset) == []
+    assert made(dataset) == ["up to date", "up to date"]
+
+
+def test_a_scene_added_later_is_made_as_the_others_were(dataset: Dataset) -> None:
+    made(dataset, options={"voxel_size": 0.2})
+    add_scan(dataset, "c")
+    assert made(dataset) == ["up to date", "up to date", "made"]
+    assert Reconstruction(dataset.path(Reconstruction, "c")).manifest.params["voxel_size"] == 0.2
+
+
+def test_options_for_some_scenes_are_recorded_for_these(dataset: Dataset) -> None:
+    made(dataset, options={"voxel_size": 0.2})
+    assert made(dataset, only=("b",), options={"voxel_size": 0.3}) == ["made"]
+    assert parameters(dataset) == {"fuse": {"voxel_size": 0.2}, "fuse@b": {"voxel_size": 0.3}}
+    assert stale(dataset) == []
+    made(dataset, options={"voxel_size": 0.4})
+    assert parameters(dataset) == {"fuse": {"voxel_size": 0.4}}
+    assert stale(dataset) == []
+
+
+def test_a_configuration_replaces_what_is_recorded_and_set_adds_to_it(dataset: Dataset) -> None:
+    made(dataset, options={"voxel_size": 0.2})
+    made(dataset, given={"fuse": {"ignored": 1}})
+    assert parameters(dataset) == {"fuse": {"voxel_size": 0.2, "ignored": 1}}
+    made(dataset, given={"fuse@a": {"ignored": 2}, "pick": {}}, replaces=True)
+    assert parameters(dataset) == {"fuse@a": {"ignored": 2}}
+    assert stale(dataset) == []
+
+
+def test_a_configuration_for_one_scene_leaves_what_is_recorded_of_the_others(dataset: Dataset) -> None:
+    made(dataset, options={"voxel_size": 0.2})
+    made(dataset, only=("a",), given={"fuse": {"ignored": 1}}, replaces=True)
+    assert Reconstruction(dataset.path(Reconstruction, "a")).manifest.params["voxel_size"] == 0.1
+    assert stale(dataset) == []
+
+
+def test_defaults_forget_what_is_recorded(dataset: Dataset) -> None:
+    made(dataset, options={"voxel_size": 0.2})
+    assert made(dataset, replaces=True) == ["made", "made"]
+    assert parameters(dataset) == {}
+    assert stale(dataset) == []
+
+
+def test_the_order_is_option_given_standing_recorded_default(dataset: Dataset) -> None:
+    made(dataset, only=("a",), options={"voxel_size": 0.2})
+
+    def size(**asked: object) -> float:
+        [task, _] = plan(dataset, fuse, **asked)  # type: ignore[arg-type]
+        return task.params.model_dump()["voxel_size"]
+
+    assert size(requested=Requested()) == 0.1
+    assert size() == 0.2
+    assert size(config={"fuse": {"voxel_size": 0.3}}) == 0.3
+    assert size(config={"fuse": {"voxel_size": 0.3}}, options={"voxel_size": 0.4}) == 0.4
+
+
+def test_parameters_of_the_datasets_own_file_are_not_recorded(dataset: Dataset) -> None:
+    made(dataset, standing={"fuse": {"voxel_size": 0.2}})
+    assert not (dataset.root / REQUESTED).exists()
+
+
+def test_neither_a_dry_run_nor_a_failure_records_anything(dataset: Dataset) -> None:
+    request = RunRequest(stages=("fuse",), options={"voxel_size": 0.2})
+    assert [outcome.status for outcome in run_pipeline(dataset, STAGES, request, dry_run=True)] == ["would make"] * 2
+    assert made(dataset, options={"fail": "this"}) == ["failed", "failed"]
+    assert not (dataset.root / REQUESTED).exists()
+
+
+def test_options_of_a_variant_are_its_own(dataset: Dataset) -> None:
+    stages = (fuse, pick, learn, label)
+    options = {"scans": ["a"], "described": False}
+    request = RunRequest(stages=("label",), variant="few", options=options)
+    assert [outcome.status for outcome in run_pipeline(dataset, stages, request)] == ["made"]
+    assert read_requested(dataset.root, stages).parameters == {"label@few": options}
+    assert list(dataset.variants(label.makes)) == ["main", "few"]
+    found = {there.variant: there.state.status for there in status(dataset, stages, RunRequest(stages=("label",)))}
+    assert found == {"main": "blocked", "few": "up to date"}
+
+
+def test_a_file_that_is_not_on_this_machine_is_compared_by_what_is_recorded_of_it(
+    dataset: Dataset, tmp_path: Path
+) -> None:
+    file = tmp_path / "weights"
+    file.write_text("one")
+    made(dataset, options={"file": str(file)})
+    file.rename(tmp_path / "elsewhere")
+    [state, _] = [there.state for there in status(dataset, STAGES, RunRequest(stages=("fuse",)))]
+    assert (state.status, state.why) == (
+        "up to date",
+        f"{file} is not there; compared with what is recorded of it",
+    )
+    assert made(dataset) == ["up to date", "up to date"]
+    [outcome, _] = run_pipeline(dataset, STAGES, RunRequest(stages=("fuse",)), force=True)
+    assert outcome.status == "failed"
+    assert "fuse: file: expected a file, got" in outcome.why
+    file.write_text("two")
+    assert stale(dataset) == ["fuse a", "fuse b"]
+
+
+def test_a_file_of_which_nothing_is_recorded_leaves_status_unable_to_tell(dataset: Dataset, tmp_path: Path) -> None:
+    made(dataset)
+    request = RunRequest(stages=("fuse",), options={"file": str(tmp_path / "none")})
+    [state, _] = [there.state for there in status(dataset, STAGES, request)]
+    assert state.status == "blocked"
+    assert "cannot tell whether it is up to date: fuse: file: expected a file, got" in state.why
+    assert state.blocked is not None
+    assert (state.blocked.kind, state.blocked.fix) == ("file missing", "check the path.")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "expected a JSON document"),
+        ("[]", "expected values by name, got"),
+        ('{"bask_requested": 2}', "bask_requested: expected one of 1, got 2"),
+        ('{"parameters": {"fuse": 1}}', "parameters.fuse: expected values by name, got 1"),
+        ('{"parameters": {"fuse": {"voxel_size": NaN}}}', "expected finite numbers"),
+        ('{"parameters": {"fuse": {"voxel_size": ' + "[" * 400 + "]" * 400 + "}}}", "requested.json"),
+        ('{"parameters": {"other": {}}}', "parameters: expected one of fuse, pick, got other"),
+        ('{"parameters": {"fuse@../x": {}}}', "parameters: expected one of fuse, pick, got fuse@../x"),
+        ('{"files": {"a": "no digest"}}', "files.a: expected"),
+        ('{"more": 1}', "more: expected no field of that name"),
+    ],
+)
+def test_a_file_that_says_what_it_may_not_is_refused(dataset: Dataset, text: str, message: str) -> None:
+    (dataset.root / REQUESTED).write_text(text)
+    with pytest.raises(BadData, match=message) as caught:
+        read_requested(dataset.root, STAGES)
+    assert str(dataset.root / REQUESTED) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (
+            {"voxel_size": -1},
+            r"parameters.fuse.voxel_size: expected greater than 0, got -1.  fix: forget it: .*--defaults",
+        ),
+        ({"voxel": 1}, "parameters.fuse.voxel: expected no field of that name, got 1"),
+    ],
+)
+def test_a_recorded_parameter_that_cannot_be_is_refused_with_its_place(
+    dataset: Dataset, values: dict[str, object], message: str
+) -> None:
+    (dataset.root / REQUESTED).write_text(json.dumps({"parameters": {"fuse": values}}))
+    with pytest.raises(BadData, match=message):
+        status(dataset, STAGES)
+    assert made(dataset, replaces=True) == ["made", "made"]
+    assert parameters(dataset) == {}
+
+
+SECTIONS = [
+    "s",
+    *(f"s@{v}" for v in VARIANTS),
+    *(f"s@{i}" for i in ITEMS),
+    *(f"s@{v}@{i}" for v in VARIANTS for i in ITEMS),
+]
+configs = st.dictionaries(
+    st.sampled_from(SECTIONS), st.dictionaries(st.sampled_from("xy"), st.integers(0, 9), min_size=1, max_size=2)
+)
+
+
+def resolved(config: Config, variant: str, item: str) -> dict[str, int]:
+    values: dict[str, int] = {}
+    for section in sections_for("s", item, variant):
+        values.update(config.get(section, {}))
+    return values
+
+
+@given(configs, configs)
+def test_what_lies_above_counts_for_every_artifact_and_what_lies_below_elsewhere(below: Config, above: Config) -> None:
+    laid = laid_over(below, above, "s", VARIANTS)
+    for variant, item in product(VARIANTS, ITEMS):
+        assert resolved(laid, variant, item) == resolved(below, variant, item) | resolved(above, variant, item)
+
+
+@given(
+    configs,
+    st.none() | st.lists(st.sampled_from(VARIANTS), unique=True, min_size=1),
+    st.none() | st.lists(st.sampled_from(ITEMS), unique=True, min_size=1),
+)
+def test_sections_within_a_scope_say_the_same_in_it_and_nothing_outside(
+    config: Config, variants: list[str] | None, items: list[str] | None
+) -> None:
+    found = within(config, "s", variants, items, VARIANTS)
+    for variant, item in product(VARIANTS, ITEMS):
+        inside = (variants is None or variant in variants) and (items is None or item in items)
+        assert resolved(found, variant, item) == (resolved(config, variant, item) if inside else {})
