@@ -164,7 +164,7 @@ def test_a_network_s_variant_may_be_shown(tmp_path):
         (["--variant", "b"], 2, "--variant: expected one of main, got b"),
         (["--port", "9090"], 2, "--port: expected to come with --web"),
         (["--save", "a.txt"], 2, "--save: expected a name that ends in .rrd"),
-        (["--every", "0", "--save", "a.rrd"], 2, "Invalid value for '--every'"),
+        (["--every", "0", "--save", "a.rrd"], 2, "--every: expected a whole number of at least 1, got '0'"),
     ],
 )
 def test_errors_have_a_code_and_a_remedy(dataset, arguments, code, message):
