@@ -103,7 +103,7 @@ def serve() -> None:
     # Ours comes first: it is the import of bask_data.nn that says how torch's threads wait.
     from bask_data.nn.augment import AugmentSettings
     from bask_data.nn.network import NetworkSettings, create
-    from bask_data.nn.sampling import SampleSettings
+    from bask_data.nn.sampling import Examples, SampleSettings
     from bask_data.nn.training import TrainingSettings, train_network
     from benchmarks.bench_sampling import Scene
 
@@ -111,9 +111,10 @@ def serve() -> None:
     network = create(NetworkSettings("efficientnet-lite0-tuned", 32, 256), seed=0)
     network.channels_last()
     sample = SampleSettings((128, 128), n_pairs=2, n_matches=128, n_non_matches=0)
+    examples = Examples(scene, sample, AugmentSettings())
     for line in sys.stdin:
         settings = TrainingSettings(steps=int(line), loss="infonce", frozen_batch_norm=True)
-        train_network(network, scene, sample, AugmentSettings(), settings)
+        train_network(network, examples, settings)
         print("done", flush=True)
 
 
