@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     import zarr
 
 CHUNK_BYTES = 2**21
+"""Size of a chunk before compression, at most: ten images of 256x256. Training reads windows of some 16 frames at
+random, so that larger chunks would be read for little of them, and smaller ones be many files. Changes no value."""
 
 
 def write(out: Path, episodes: Episodes) -> list[str]:

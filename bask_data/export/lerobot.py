@@ -23,12 +23,17 @@ if TYPE_CHECKING:
 VERSION = "v3.0"
 FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 FILES_PER_CHUNK = 1000
+"""Files in a folder, at most: LeRobot's own default, `chunks_size`."""
+
 DATA_BYTES, VIDEO_BYTES = 100 * 2**20, 200 * 2**20
-"""A file that has grown to this is ended with its episode."""
+"""A file that has grown to this is ended with its episode: LeRobot's own defaults, 100 and 200 MB."""
 
 QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
+"""Shares of the values below the quantiles that LeRobot keeps among its statistics, as format v3.0 names them."""
+
 RATE_TOLERANCE = 0.02
-"""Clocks jitter: a rate as near as this to a whole number, or to another demonstration's, is meant to be it."""
+"""Clocks jitter: a rate as near as this to a whole number, or to another demonstration's, is meant to be it. As a share
+of the rate; 29.97 and 30 frames a second differ by 0.001. Sensitivity not measured."""
 
 NUMBERING = tuple(
     Column(name, (), dtype, description)

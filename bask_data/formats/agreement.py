@@ -14,9 +14,16 @@ from bask_data.core.geometry import in_image, invert_rigid, pixel_grid, project,
 from bask_data.formats.recording import CameraRecording
 
 N_PAIRS = 4
+"""Pairs of frames that are compared, spread over the recording: a wrong convention shows in each of them. Sensitivity
+not measured."""
+
 MIN_POINTS = 200
+"""Points of a pair that must meet a measurement before a share of them means anything. Chosen; sensitivity not
+measured."""
+
 AGREES_WITHIN = (0.005, 0.02)
-"""Depths count as equal within 5 mm and 2 % of the depth: sensor noise and calibration, not geometry."""
+"""Metres, and share of the depth: depths count as equal within 5 mm plus 2 %. That is noise and calibration of an RGB-D
+camera, not geometry. Sensitivity not measured."""
 
 
 def agreement(camera: CameraRecording, otherwise: dict[str, Float[ndarray, "t 4 4"]]) -> str:

@@ -25,6 +25,8 @@ from bask_data.formats.options import ApcOptions
 from bask_data.formats.recording import ObjectPose, SourceRecording
 
 DEPTH_SCALE = 1e-4
+"""Metres per unit of depth once its bits are turned back, as the recordings' documentation states."""
+
 INFO_FILE = "cam.info.txt"
 INTRINSICS_FILE = "camera-intrinsics.color.txt"
 POSES_FILE = "object_poses.json"

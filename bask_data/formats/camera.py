@@ -25,9 +25,15 @@ from bask_data.formats.images import (
 from bask_data.formats.recording import CameraRecording
 
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Camera axes: y up and z backward become y down and z forward."""
+
 QUATERNION_TOLERANCE = 0.01
+"""How far the length of a quaternion in a file may be from 1. TUM's files print four digits, an error of 1e-4; numbers
+that are no quaternion are far off."""
+
 PLAUSIBLE_DEPTH = (0.001, 100.0)
-"""Metres between which the median depth of an image must lie; outside it the unit is wrong, not the scene."""
+"""Metres between which the median depth of an image must lie; outside it the unit is wrong, not the scene. A wrong unit
+is a factor of 1000, and rooms have metres."""
 
 
 @dataclass(frozen=True)

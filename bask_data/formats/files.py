@@ -11,7 +11,11 @@ from pathlib import Path, PurePosixPath
 from bask_data.errors import BadData, UsageError
 
 MAX_TEXT_BYTES = 64 * 2**20
+"""Largest text file that is read, bytes: poses of half a million frames. Keeps a wrong file from filling the memory."""
+
 MAX_IMAGE_BYTES = 512 * 2**20
+"""Largest image file that is read, bytes: more than any image of `MAX_PIXELS` takes. Keeps a wrong file from filling
+the memory."""
 
 
 def source_folder(source: Path) -> Path:

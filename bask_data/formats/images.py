@@ -20,6 +20,9 @@ from bask_data.errors import BadData
 from bask_data.formats.files import read_bytes
 
 MAX_PIXELS = 100_000_000
+"""Largest image that is decoded, by its header: a camera of 100 megapixels. A small file may claim any size, and
+decoding would take the memory for it."""
+
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 """Channels by PNG colour type; a palette (3) decodes to colour."""

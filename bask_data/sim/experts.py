@@ -16,9 +16,10 @@ from bask_data.sim.take import Take
 from bask_data.sim.world import TABLE, World
 
 ABOVE = 0.12
-"""Metres above a thing from which it is approached."""
+"""Metres above a thing from which it is approached. Chosen for the objects of these tasks."""
+
 SPEED_AT_REST = 0.02
-"""Metres and radians a second below which things count as lying still."""
+"""Metres and radians a second below which things count as lying still after a task. Chosen."""
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,23 @@ from numpy import ndarray
 from bask_data.sim.objects import Vector, add_geom, numbers
 
 LABEL = 255
+"""Label of the gripper in pictures: the last of 8 bits, so that it meets no object's."""
+
 GROUP = 1
-"""Group of the gripper's geoms, so that they can be left out of a picture."""
+"""Group of the gripper's geoms, so that they can be left out of a picture. MuJoCo has six; objects are in 0."""
+
 MAX_WIDTH = 0.08
-"""Metres between the fingers when the gripper is open."""
+"""Metres between the fingers when the gripper is open: that of a Franka hand."""
+
 FOV_DEG = 56.0
+"""Vertical field of view of the wrist camera, degrees: between the 42 of RealSense's colour cameras and the 58 of their
+depth cameras."""
+
 TILT = np.radians(15.0)
-"""The wrist camera is turned towards the finger tips, which show at the lower edge of the image."""
+"""Radians the wrist camera is turned towards the finger tips, so that they show at the lower edge of the image."""
+
 CAMERA_AT = (0.0, -0.078, -0.135)
+"""Where the wrist camera is in the gripper's frame, metres: beside the hand and behind the finger tips. Chosen."""
 
 
 def gripper_from_camera() -> Float[ndarray, "4 4"]:

@@ -15,10 +15,14 @@ from bask_data.sim.take import RobotMotion, Take
 from bask_data.sim.world import STEP, Layout, World
 
 CONTROL_RATE = 20.0
-"""Frames and commands a second."""
+"""Frames and commands a second. Chosen."""
+
 N_SUBSTEPS = round(1 / CONTROL_RATE / STEP)
+"""Steps of the physics in a frame."""
+
 SPEED, TURN_SPEED = 0.28, 1.6
-"""Metres and radians a second, on average over a motion."""
+"""Metres and radians a second, on average over a motion. Chosen."""
+
 ACTION_NAMES = ("dx", "dy", "dz", "rx", "ry", "rz", "width")
 """Motion of the gripper's target until the next frame: metres and a rotation vector in radians, both along the world's
 axes; and the width in metres that the fingers are to have."""

@@ -13,6 +13,7 @@ TASKS: tuple[TaskName, ...] = get_args(TaskName)
 CameraName = Literal["wrist", "overhead"]
 CAMERAS: tuple[CameraName, ...] = get_args(CameraName)
 MAX_CLUTTER = 12
+"""Further objects on the table, at most: what it has room for, `GAP` apart. Chosen."""
 
 
 class SimOptions(Params):

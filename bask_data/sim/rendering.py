@@ -14,6 +14,7 @@ from bask_data.sim.engine import drawing, import_mujoco
 from bask_data.sim.world import FAR, NEAR, World
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
+"""Camera axes: y down and z forward become y up and z backward."""
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,13 @@ from bask_data.sim.take import Take
 from bask_data.sim.world import Layout, World
 
 SCAN_FRAMES_PER_SECOND = 10.0
+"""Of a scan's timestamps; nothing moves, so that it says no more than how fast the camera winds."""
+
 ELEVATION = (np.radians(24.0), np.radians(78.0))
+"""Radians above the table between which the camera goes up and down: from low to nearly above. Chosen."""
+
 TURNS = 2.25
+"""Times the camera goes around the objects. Chosen."""
 
 
 def scan(world: World, rng: np.random.Generator, layout: Layout | None = None) -> Take:

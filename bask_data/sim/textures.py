@@ -10,8 +10,10 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 FACE = 160
-"""Pixels along the edge of a face of an object's texture."""
+"""Pixels along the edge of a face of an object's texture. Chosen."""
+
 N_SHAPES = 14
+"""Discs and bars painted on a face. Chosen."""
 
 
 def colour(hue: float, saturation: float, value: float) -> Float[ndarray, "3"]:

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from bask_data.nn.selection import SelectionView
 
 N_VIEWS = 5
-"""Frames of an object that candidates are taken from, and looked for in."""
+"""Frames of an object that candidates are taken from, and looked for in. Each costs a forward pass; sensitivity not
+measured."""
 
 STEPS_OF_PASS = 8
 """Steps that the network's pass over a view counts, where a search in it counts one: about their times with ResNet-18
@@ -41,10 +42,12 @@ STEPS_OF_OBJECT = 2 * N_VIEWS * STEPS_OF_PASS + N_VIEWS * (N_VIEWS - 1)
 """Steps of an object: views described, views that give candidates, and views they are looked for in."""
 
 CANDIDATES_PER_FRAME = 120
-"""Candidates from each of these frames, at least."""
+"""Candidates from each of these frames, at least: several for each of the 16 keypoints asked for. Sensitivity not
+measured."""
 
 MASK_BORDERS = (0.02, 0.01, 0.0)
-"""Distances from a mask's edge, as shares of the image's height; the next is tried where an object is too slim."""
+"""Distances from a mask's edge, as shares of the image's height; the next is tried where an object is too slim. The
+first is 5 of 256 pixels, less than a cell of the network. Sensitivity not measured."""
 
 PICK = "correct it, or take it away: without any, `bask-data reference --pick` opens a page to choose them on."
 """How a pick that does not fit is mended."""
