@@ -2,8 +2,8 @@
 
 const GAP = 10;
 const LEAST_SIDE = 132; // CSS pixels, width of another view's picture at least: matches can be told, its fields just fit
-const MAIN_FRAME = 64; // CSS pixels of a main view's height that are not its picture; measured
-const SIDE_FRAME = 56; // the same of the other views
+const MAIN_FRAME = 60; // CSS pixels of a main view's height that are not its picture; measured
+const SIDE_FRAME = 62; // the same of the other views
 const WORTH = 0.1; // of the main picture's area: what one more of the other views is worth
 
 // Arrange the views as the window and the main picture's shape ask for.
