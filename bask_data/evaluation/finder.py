@@ -14,10 +14,8 @@ from bask_data.dataset import Dataset
 from bask_data.errors import BadData
 from bask_data.evaluation.lookup import find, input_variant
 from bask_data.evaluation.reference_points import frame_of
+from bask_data.evaluation.search import ALPHA
 from bask_data.kinds import DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints
-
-ALPHA = 4.0
-"""Temperature of the heat maps where nothing says with which the network is used."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from bask_data.nn.network import DescriptorNetwork
 
 ALPHA = 4.0
-"""Temperature of heat maps; the one keypoints are read with by default."""
+"""Temperature of heat maps softmax(-alpha z) where nothing says with which a network is used: that of the paper (von
+Hartz et al. 2023, Sec. III-B) and of the filters by default. Calibration is measured at `ALPHAS`, too."""
 ALPHAS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 """Others, of which the one that fits the network best is told."""
 RADIUS = 0.04

@@ -5,8 +5,9 @@ import pytest
 
 from bask_data.dataset import Dataset, Variant
 from bask_data.errors import BadData
-from bask_data.evaluation.finder import ALPHA, Finder, network_of
+from bask_data.evaluation.finder import Finder, network_of
 from bask_data.evaluation.lookup import find, find_recording
+from bask_data.evaluation.search import ALPHA
 from bask_data.kinds import DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints
 from tests.datasets import publish_artifact
 from tests.report.filled import HEIGHT, WIDTH, filled_dataset, publish_network
