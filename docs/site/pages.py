@@ -5,8 +5,10 @@ A hook of mkdocs; nothing of what it writes is in the repository, so nothing can
 
 from __future__ import annotations
 
+import ast
 import os
 import re
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,12 @@ DECISIONS = ROOT / "docs" / "decisions"
 
 PACKAGES = {
     "bask_data": "What a script or a notebook imports.",
+    "notebook": "What `bask_data.open` returns.",
+    "torch": "PyTorch datasets: frames and matches.",
+    "tracker": "Keypoints on a running robot.",
+    "pipeline": "The whole pipeline: run it, ask for its status.",
     "engine": "Stages, their state, and running them.",
+    "sources": "What brings recordings into a dataset.",
     "dataset": "`dataset.json`: items, splits, paths.",
     "kinds": "A typed handle for each kind of artifact: open, read, write.",
     "artifact": "Manifests, digests, publishing.",
@@ -29,6 +36,30 @@ PACKAGES = {
     "export": "Writers of what policy-learning libraries read.",
 }
 """The public modules, and what each is for. One that does not exist is left out."""
+
+LAYERS = {
+    "cli": "commands: parse, one call, print",
+    "torch": "PyTorch datasets for users",
+    "notebook": "datasets as users open them in Python",
+    "report": "the HTML page",
+    "view": "the Rerun viewer, videos",
+    "picker": "the page for picking keypoints",
+    "drawing": "pictures of artifacts",
+    "evaluation": "numbers against ground truth",
+    "export": "files for policy learning",
+    "stages": "open inputs, call core or nn, write an artifact",
+    "sources": "recordings in",
+    "engine": "declare, plan, make and publish",
+    "tracker": "keypoints on a robot",
+    "dataset": "items, splits, paths",
+    "kinds": "a typed handle for each kind of artifact",
+    "artifact": "manifest, digests, atomic publishing",
+    "formats": "readers of other people's files",
+    "nn": "networks and training",
+    "sim": "the simulator",
+    "core": "pure functions on arrays",
+}
+"""What the drawing of the layers says beside a line; only of what needs saying."""
 
 SUBJECTS = {
     "00": "Data and parameters",
@@ -49,7 +80,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
             if isinstance(entries, list):
                 for entry in entries:
                     if entry.get("Python") == "reference/":
-                        entry["Python"] = [f"reference/{name}.md" for name in packages()]
+                        entry["Python"] = [navigation_of(name) for name in packages()]
                     if entry.get("Decisions") == "decisions/":
                         entry["Decisions"] = ["decisions/index.md", *(f"decisions/{note.name}" for note in decisions())]
     return config
@@ -63,7 +94,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "contributing.md": root_page("CONTRIBUTING.md"),
         "changelog.md": root_page("CHANGELOG.md"),
     }
-    pages |= {f"reference/{name}.md": package_page(name) for name in packages()}
+    pages |= {page_of(name): module_page(name) for top in packages() for name in modules(top)}
     for uri, content in pages.items():
         files.append(File.generated(config, uri, content=content))
     return files
@@ -110,19 +141,78 @@ def title_of(note: Path) -> str:
 
 def packages() -> list[str]:
     """The public modules that there are."""
-    package = ROOT / "bask_data"
-    return [
-        name
-        for name in PACKAGES
-        if name == "bask_data" or (package / name).is_dir() or (package / f"{name}.py").is_file()
-    ]
+    return [name for name in PACKAGES if path_of(name).exists()]
 
 
-def package_page(name: str) -> str:
+def path_of(name: str) -> Path:
+    """The source of a module, by its name within `bask_data`."""
+    if name == "bask_data":
+        return ROOT / "bask_data" / "__init__.py"
+    path = ROOT / "bask_data" / name.replace(".", "/")
+    return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+
+
+def modules(name: str) -> list[str]:
+    """A module and all inside it that are public."""
+    if name == "bask_data" or path_of(name).name != "__init__.py":
+        return [name]
+    inner = sorted({path.stem for path in path_of(name).parent.iterdir() if path.suffix == ".py" or path.is_dir()})
+    public = [f"{name}.{each}" for each in inner if not each.startswith("_")]
+    return [name, *(each for module in public if path_of(module).exists() for each in modules(module))]
+
+
+def page_of(name: str) -> str:
+    """Where a module's page is."""
+    return f"reference/{name}.md"
+
+
+def navigation_of(name: str) -> str | dict[str, list[str]]:
+    """A module's page, or the section of a package."""
+    pages = [page_of(each) for each in modules(name)]
+    return pages[0] if len(pages) == 1 else {name: pages}
+
+
+def module_page(name: str) -> str:
     """The page of a public module; mkdocstrings fills in what its source says."""
     path = name if name == "bask_data" else f"bask_data.{name}"
-    options = "\n    options:\n      show_submodules: false\n" if name == "bask_data" else "\n"
-    return f"# {path}\n\n{PACKAGES[name]}\n\n::: {path}{options}"
+    lines = [f"# {path}", "", PACKAGES.get(name, ""), "", f"::: {path}", ""]
+    inner = modules(name)[1:]
+    if inner:
+        lines += ["## Modules", "", *(f"- [{each}]({each}.md): {first_sentence(each)}" for each in inner), ""]
+    return "\n".join(lines)
+
+
+def first_sentence(name: str) -> str:
+    """What a module is, by its docstring."""
+    text = ast.get_docstring(ast.parse(path_of(name).read_text(encoding="utf-8"))) or ""
+    return re.sub(r"([*_<\[\]])", r"\\\1", " ".join(text.split("\n\n")[0].split()))
+
+
+# The drawing of the layers --------------------------------------------------------------------------------------------
+
+
+def on_page_markdown(markdown: str, page: Any, config: MkDocsConfig, files: Files) -> str:
+    """Put the drawing of the layers where its page wants it."""
+    return re.sub(r"<!-- layers: .*? -->", layers_drawing(), markdown)
+
+
+def layers_drawing() -> str:
+    """The contract of import-linter as an SVG, one row a layer."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    [layers] = [each["layers"] for each in project["tool"]["importlinter"]["contracts"] if each["id"] == "layers"]
+    height = 34 * len(layers) + 16
+    lines = [
+        f'<div class="drawing"><svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 860 {height}" role="img">',
+        f'<title>The layers</title><path class="down" d="M14 12V{height - 12}m-5 -8l5 8l5 -8"/>',
+    ]
+    for i, layer in enumerate(layers):
+        names = re.findall(r"\w+", layer)
+        said = "; ".join(LAYERS[name] for name in names if name in LAYERS)
+        y = 8 + 34 * i
+        lines.append(f'<rect x="30" y="{y}" width="350" height="28" rx="3"/>')
+        lines.append(f'<text class="name" x="205" y="{y + 19}" text-anchor="middle">{" · ".join(names)}</text>')
+        lines.append(f'<text x="394" y="{y + 19}">{said}</text>')
+    return "".join([*lines, "</svg></div>"])
 
 
 # Command line ---------------------------------------------------------------------------------------------------------
@@ -145,7 +235,7 @@ def command_line_page() -> str:
     """The help of every command, from the program itself."""
     from bask_data.cli.app import app
 
-    os.environ["COLUMNS"] = "92"  # what the page has room for
+    os.environ["COLUMNS"] = "86"  # what the page has room for
     group: Any = typer.main.get_command(app)
     context = typer.Context(group, info_name="bask-data")
     lines = ["# Command line", "", "What each command's `--help` prints.", ""]

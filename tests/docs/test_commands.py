@@ -167,9 +167,11 @@ def test_the_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.Monke
     [code] = [block.code for block in blocks((REPOSITORY / "README.md").read_text()) if block.language == "python"]
     names: dict[str, Any] = {}
     exec(code, names)
-    assert names["rgb"].shape == names["objects_only"].shape == (HEIGHT, WIDTH, 3)
-    assert names["matches"].num_rows > 0
+    assert names["frame"].mask.shape == (HEIGHT, WIDTH)
+    assert len(names["matches"]) > 0
     assert names["keypoints"].shape == (8, PARAMS["reference"]["n"], 3)
+    assert next(iter(names["batches"]))["mask"].shape == (4, HEIGHT, WIDTH)
+    assert names["tracked"].mean.shape == names["keypoints"][-1].shape
 
 
 @pytest.mark.parametrize(
