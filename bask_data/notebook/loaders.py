@@ -13,6 +13,7 @@ from torch.utils.data import Dataset as TorchDataset
 from bask_data.errors import UsageError
 from bask_data.notebook.opened import OpenDataset
 from bask_data.notebook.recordings import RecordedFrame, RecordedFrames
+from bask_data.notebook.results import MatchArrays
 
 Sample = dict[str, Any]
 
@@ -20,23 +21,24 @@ Sample = dict[str, Any]
 class _Opened(TorchDataset[Sample]):
     """What both share: the dataset, and its scans opened once in each process."""
 
-    def __init__(self, dataset: OpenDataset | Path | str, scans: Sequence[str]) -> None:
-        self.root = dataset.root if isinstance(dataset, OpenDataset) else Path(dataset)
-        known = tuple(OpenDataset(self.root).scans)
-        unknown = [name for name in scans if name not in known]
+    def __init__(self, dataset: OpenDataset | Path | str, scans: str | Sequence[str]) -> None:
+        self._dataset = dataset if isinstance(dataset, OpenDataset) else OpenDataset(dataset)
+        self.root = self._dataset.root
+        chosen, known = (scans,) if isinstance(scans, str) else tuple(scans), tuple(self._dataset.scans)
+        unknown = [name for name in chosen if name not in known]
         if unknown:
             expected = f"some of {', '.join(known) or 'none'}"
             raise UsageError(self.root, "scans", expected=expected, got=", ".join(unknown))
-        self.scans = tuple(scans) or known
+        self.scans = chosen or known
         self._recordings: dict[tuple[str, str], RecordedFrames] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_recordings": {}}
 
-    def _frame(self, scan: str, camera: str, i_frame: int) -> RecordedFrame:
+    def _frames(self, scan: str, camera: str) -> RecordedFrames:
         if (scan, camera) not in self._recordings:
-            self._recordings[scan, camera] = OpenDataset(self.root).scans[scan].camera(camera)
-        return self._recordings[scan, camera][i_frame]
+            self._recordings[scan, camera] = self._dataset.scans[scan].camera(camera)
+        return self._recordings[scan, camera]
 
 
 class FrameLoader(_Opened):
@@ -46,7 +48,7 @@ class FrameLoader(_Opened):
     float64, `scan`, `camera`, `frame`, and with `masks` `mask` (h, w) uint8.
     """
 
-    def __init__(self, dataset: OpenDataset | Path | str, scans: Sequence[str] = (), masks: bool = False) -> None:
+    def __init__(self, dataset: OpenDataset | Path | str, scans: str | Sequence[str] = (), masks: bool = False) -> None:
         """List the frames.
 
         Args:
@@ -58,12 +60,11 @@ class FrameLoader(_Opened):
         """
         super().__init__(dataset, scans)
         self.masks = masks
-        opened = OpenDataset(self.root).scans
         self._places = [
             (scan, camera, i_frame)
             for scan in self.scans
-            for camera in opened[scan].cameras
-            for i_frame in range(len(opened[scan].camera(camera)))
+            for camera in self._dataset.scans[scan].cameras
+            for i_frame in range(len(self._frames(scan, camera)))
         ]
 
     def __len__(self) -> int:
@@ -71,9 +72,12 @@ class FrameLoader(_Opened):
 
     def __getitem__(self, i: int) -> Sample:
         scan, camera, i_frame = self._places[i]
-        frame = self._frame(scan, camera, i_frame)
+        frame = self._frames(scan, camera)[i_frame]
         sample = {**_tensors(frame), "scan": scan, "camera": camera, "frame": i_frame}
         return {**sample, "mask": torch.from_numpy(frame.mask)} if self.masks else sample
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} frames of {', '.join(self.scans)}{', with masks' if self.masks else ''}>"
 
 
 class MatchLoader(_Opened):
@@ -85,7 +89,7 @@ class MatchLoader(_Opened):
     """
 
     def __init__(
-        self, dataset: OpenDataset | Path | str, scans: Sequence[str] = (), n: int = 256, seed: int = 0
+        self, dataset: OpenDataset | Path | str, scans: str | Sequence[str] = (), n: int = 256, seed: int = 0
     ) -> None:
         """List the pairs that have matches.
 
@@ -98,27 +102,30 @@ class MatchLoader(_Opened):
         """
         super().__init__(dataset, scans)
         self.n, self.seed = n, seed
-        self._pairs: list[tuple[str, int]] = []
-        for scan in self.scans:
-            self._pairs += [(scan, int(pair)) for pair in np.unique(OpenDataset(self.root).matches(scan).pair)]
+        self._pairs = [(scan, int(pair)) for scan in self.scans for pair in self._dataset.matches(scan).pairs]
 
     def __len__(self) -> int:
         return len(self._pairs)
 
     def __getitem__(self, i: int) -> Sample:
         scan, pair = self._pairs[i]
-        found = OpenDataset(self.root).matches(scan, [pair])
+        found = self._dataset.matches(scan, pair)
         rng = np.random.default_rng((self.seed, i % len(self)))
         chosen = rng.choice(len(found), self.n, replace=len(found) < self.n)
         sample: Sample = {"scan": scan, "pair": pair, "instance": torch.from_numpy(found.instance[chosen])}
-        for side, uv, cameras, frames in (
-            ("a", found.uv_a, found.camera_a, found.frame_a),
-            ("b", found.uv_b, found.camera_b, found.frame_b),
-        ):
-            frame = self._frame(scan, str(cameras[pair]), int(frames[pair]))
+        for side, uv, frame in zip("ab", (found.uv_a, found.uv_b), self._views(scan, found, pair), strict=True):
             sample |= {f"{name}_{side}": value for name, value in _tensors(frame).items()}
             sample[f"uv_{side}"] = torch.from_numpy(uv[chosen])
         return sample
+
+    def _views(self, scan: str, found: MatchArrays, pair: int) -> tuple[RecordedFrame, RecordedFrame]:
+        return (
+            self._frames(scan, str(found.camera_a[pair]))[int(found.frame_a[pair])],
+            self._frames(scan, str(found.camera_b[pair]))[int(found.frame_b[pair])],
+        )
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} pairs of frames with {self.n} matches each, of {', '.join(self.scans)}, seed {self.seed}>"
 
 
 def _tensors(frame: RecordedFrame) -> Sample:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -15,13 +14,14 @@ from bask_data.errors import BaskError, UsageError
 from bask_data.kinds import (
     Correspondences,
     Demonstration,
-    InstanceRow,
     KeypointTrack,
     ObjectInstances,
     Scan,
     VisibleMasks,
 )
 from bask_data.notebook.recordings import RecordedFrames, RecordingTable
+from bask_data.notebook.results import MatchArrays, ObjectArrays, TrackArrays
+from bask_data.spelling import suggestion
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,83 +29,6 @@ if TYPE_CHECKING:
     from bask_data.kinds.masks import CameraMasks
 
 A = TypeVar("A", bound=Artifact)
-
-
-@dataclass(frozen=True)
-class ObjectArrays:
-    """The objects of a scene, in the order of their ids.
-
-    Attributes:
-        id: (k,) as in masks.
-        centroid: (k, 3) metres, world frame.
-        extents: (k, 3) metres.
-        rows: all that is known of each.
-        vertex_instance: (n,) int32, of each vertex of the reconstruction; 0 is background.
-        support_plane: (4,) nx, ny, nz, d: n.x + d = 0, n towards the objects; zeros: no plane.
-    """
-
-    id: np.ndarray
-    centroid: np.ndarray
-    extents: np.ndarray
-    rows: tuple[InstanceRow, ...]
-    vertex_instance: np.ndarray
-    support_plane: np.ndarray
-
-    def __repr__(self) -> str:
-        return f"<{len(self.id)} objects of {len(self.vertex_instance)} vertices>"
-
-
-@dataclass(frozen=True)
-class MatchArrays:
-    """Matches between frames of a scan, a row each.
-
-    Attributes:
-        pair: (n,) number of the pair of frames.
-        instance: (n,) object that both pixels show.
-        uv_a, uv_b: (n, 2) float32 pixels in the first and the second frame; integers are pixel centres.
-        camera_a, camera_b: (n_pairs,) names, by pair.
-        frame_a, frame_b: (n_pairs,) numbers of the frames, by pair.
-    """
-
-    pair: np.ndarray
-    instance: np.ndarray
-    uv_a: np.ndarray
-    uv_b: np.ndarray
-    camera_a: np.ndarray
-    camera_b: np.ndarray
-    frame_a: np.ndarray
-    frame_b: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.pair)
-
-    def __repr__(self) -> str:
-        return f"<{len(self)} matches in {len(self.frame_a)} pairs of frames>"
-
-
-@dataclass(frozen=True)
-class TrackArrays:
-    """The keypoints of a demonstration over time; positions in metres and the world frame, NaN: not localised.
-
-    Attributes:
-        names: (k) of the keypoints.
-        mean, mode: (t, k, 3) float32.
-        covariance: (t, k, 3, 3) float32, square metres.
-        pixel: by camera (t, k, 2) float32, where its images have the mean.
-        observed: by camera (t, k) bool.
-    """
-
-    names: tuple[str, ...]
-    filter: str
-    mean: np.ndarray
-    mode: np.ndarray
-    covariance: np.ndarray
-    pixel: dict[str, np.ndarray]
-    observed: dict[str, np.ndarray]
-
-    def __repr__(self) -> str:
-        t, k = self.mean.shape[:2]
-        return f"<{k} keypoints over {t} frames, {self.filter} filter: {', '.join(self.names)}>"
 
 
 class StatusRows(tuple[tuple[str, str, str], ...]):
@@ -171,15 +94,21 @@ class OpenDataset:
             support_plane=found.support_plane,
         )
 
-    def matches(self, scene: str, pairs: Sequence[int] | None = None) -> MatchArrays:
+    def matches(self, scene: str, pairs: int | Sequence[int] | None = None) -> MatchArrays:
         """Matches of a scene: of some pairs of frames, or of all.
 
         Raises:
-            UsageError: there is no such scene, or no matches have been made of it yet.
+            UsageError: there is no such scene or pair, or no matches have been made of it yet.
         """
         import numpy as np
 
         found = self._artifact(Correspondences, scene)
+        if pairs is not None:
+            pairs, n_pairs = [int(pair) for pair in np.atleast_1d(pairs)], found.pairs().num_rows
+            unknown = [str(pair) for pair in pairs if not 0 <= pair < n_pairs]
+            if unknown:
+                expected = f"some of 0 to {n_pairs - 1}"
+                raise UsageError(found.path, "pairs", expected=expected, got=", ".join(unknown))
         table, of_pairs = found.matches(pairs), found.pairs()
         column = {name: table[name].to_numpy() for name in table.column_names}
         by_pair = {name: np.asarray(of_pairs[name].to_pylist()) for name in of_pairs.column_names}
@@ -247,20 +176,18 @@ class OpenDataset:
         return StatusRows(rows)
 
     def __repr__(self) -> str:
-        counts = f"{len(self.scans)} scans, {len(self.demonstrations)} demonstrations"
-        return f"<dataset {self.name} at {self.root}: {counts}>"
+        inside = ", ".join(repr(table)[1:-1] for table in (self.scans, self.demonstrations) if table)
+        return f"<dataset {self.name} at {self.root}: {inside or 'no recordings'}>"
 
     def _repr_html_(self) -> str:
-        found = [*self.scans.values(), *self.demonstrations.values()]
-        pictures = "".join(f"<td>{one._repr_html_()}</td>" for one in found[:3])
-        return f"<p><b>{escape(repr(self))}</b></p><table><tr>{pictures}</tr></table>"
+        shown = "".join(table._repr_html_() for table in (self.scans, self.demonstrations) if table)
+        return f"<p><b>{escape(repr(self))}</b></p>{shown}"
 
     def _stage(self, name: str) -> Stage:
         from bask_data.pipeline import STAGES
 
         found = {stage.name: stage for stage in STAGES}
-        if name not in found:
-            raise UsageError(self.root, "stage", expected=f"one of {', '.join(found)}", got=name)
+        self._check("stage", name, found)
         return found[name]
 
     def _config(self) -> Config:
@@ -273,18 +200,19 @@ class OpenDataset:
     def _artifact(self, kind: type[A], item: str, variant: str = "main") -> A:
         from bask_data.pipeline import STAGES
 
-        items = self._dataset.items(kind.scope)
-        if item not in items:
-            raise UsageError(self.root, kind.scope, expected=f"one of {', '.join(items) or 'none'}", got=item)
-        variants = self._dataset.variants(kind)
-        if variant not in variants:
-            raise UsageError(self.root, "variant", expected=f"one of {', '.join(variants)}", got=variant)
+        self._check(kind.scope, item, self._dataset.items(kind.scope))
+        self._check("variant", variant, self._dataset.variants(kind))
         path = self._dataset.path(kind, item, variant)
         if not (path / MANIFEST).exists():
             makers = [stage.name for stage in STAGES if stage.makes is kind]
             fix = f'ds.run("{makers[0]}", only="{item}")' if makers else "ingest it again."
             raise UsageError(path, "", expected=kind.kind, got="none", fix=fix)
         return kind(path)
+
+    def _check(self, field: str, name: str, known: Iterable[str]) -> None:
+        if name not in (known := list(known)):
+            expected, fix = f"one of {', '.join(known) or 'none'}", suggestion(str(name), known)
+            raise UsageError(self.root, field, expected=expected, got=name, fix=fix)
 
     def _recording(self, kind: type[Scan] | type[Demonstration], name: str) -> RecordedFrames:
         cameras: dict[str, CameraMasks] = {}

@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, SupportsIndex, overload
 
 from bask_data.errors import UsageError
 from bask_data.kinds import Camera, Demonstration, Robot, Scan
+from bask_data.notebook.html import picture_html
+from bask_data.spelling import suggestion
 
 if TYPE_CHECKING:
     import numpy as np
 
-THUMBNAIL = 240
-"""Pixels of the longer side of a picture in a notebook."""
+STRIP_FRAMES = 3
+"""Frames that a recording shows in a notebook: its first, its last and what lies between."""
+MOST_SHOWN = 6
+"""Recordings that a table of them shows in a notebook; the others are named."""
 
 Masks = Callable[[str, int], "np.ndarray"]
 """Gives the mask of a camera's frame."""
+
+
+class UnknownName(UsageError, KeyError):
+    """There is no recording of that name: a `KeyError`, as a mapping raises, with the names there are."""
+
+    def __str__(self) -> str:
+        # KeyError's own gives the message in quotes, with its line ends escaped.
+        return Exception.__str__(self)
 
 
 class RecordedFrame:
@@ -83,11 +96,19 @@ class RecordedFrames(Sequence[RecordedFrame]):
     Where there are several cameras, the first by name; `.camera(name)` gives another one.
     """
 
-    def __init__(self, recording: Scan | Demonstration, masks: Masks, camera: str = "") -> None:
+    def __init__(
+        self, recording: Scan | Demonstration, masks: Masks, camera: str = "", chosen: range | None = None
+    ) -> None:
+        """The frames of a camera, by default of the first.
+
+        Args:
+            chosen: numbers of the frames; by default all.
+        """
         self._recording, self._masks = recording, masks
         self.name = recording.path.name
         """Name of the scene or demonstration."""
         self._camera = recording.camera(camera or recording.camera_names[0])
+        self._chosen = range(self._camera.n_frames) if chosen is None else chosen
 
     @property
     def cameras(self) -> list[str]:
@@ -99,38 +120,67 @@ class RecordedFrames(Sequence[RecordedFrame]):
         """What the robot did, in a demonstration that recorded it."""
         return self._recording.robot if isinstance(self._recording, Demonstration) else None
 
+    @property
+    def K(self) -> np.ndarray:
+        """Pinhole matrix (3, 3) float64 of all frames, pixels; (0, 0) is the centre of the top-left pixel."""
+        return self._camera.K
+
+    @property
+    def world_from_cameras(self) -> np.ndarray:
+        """(t, 4, 4) float64, metres; camera x right, y down, z forward."""
+        transforms: np.ndarray = self._camera.world_from_cameras[list(self._chosen)]
+        return transforms
+
+    @property
+    def time(self) -> np.ndarray:
+        """(t,) float64, seconds."""
+        times: np.ndarray = self._camera.time[list(self._chosen)]
+        return times
+
     def camera(self, name: str) -> RecordedFrames:
-        """The frames of a camera.
+        """All frames of a camera.
 
         Raises:
             UsageError: there is no such camera.
         """
         if name not in self.cameras:
-            raise UsageError(self._recording.path, "camera", expected=f"one of {', '.join(self.cameras)}", got=name)
+            expected, fix = f"one of {', '.join(self.cameras)}", suggestion(str(name), self.cameras)
+            raise UsageError(self._recording.path, "camera", expected=expected, got=name, fix=fix)
         return RecordedFrames(self._recording, self._masks, name)
 
     def __len__(self) -> int:
-        return self._camera.n_frames
+        return len(self._chosen)
 
     @overload
-    def __getitem__(self, i: int) -> RecordedFrame: ...
+    def __getitem__(self, i: SupportsIndex) -> RecordedFrame: ...
     @overload
-    def __getitem__(self, i: slice) -> list[RecordedFrame]: ...
-    def __getitem__(self, i: int | slice) -> RecordedFrame | list[RecordedFrame]:
+    def __getitem__(self, i: slice) -> RecordedFrames: ...
+    def __getitem__(self, i: SupportsIndex | slice) -> RecordedFrame | RecordedFrames:
         if isinstance(i, slice):
-            return [self[k] for k in range(*i.indices(len(self)))]
-        if not -len(self) <= i < len(self):
-            raise IndexError(f"{self.name}: frame: expected one of 0 to {len(self) - 1}, got {i}")
-        return RecordedFrame(self._camera, i % len(self), self._masks)
+            return RecordedFrames(self._recording, self._masks, self._camera.name, self._chosen[i])
+        try:
+            i_frame = operator.index(i)
+        except TypeError:
+            fix = f'.camera("{i}") gives the frames of a camera.' if i in self.cameras else ""
+            got = f"{type(i).__name__} {i!r}"
+            message = str(UsageError(self.name, "frame", expected="a whole number or a slice", got=got, fix=fix))
+            raise TypeError(message) from None
+        if not -len(self) <= i_frame < len(self):
+            raise IndexError(f"{self.name}: frame: expected one of 0 to {len(self) - 1}, got {i_frame}")
+        return RecordedFrame(self._camera, self._chosen[i_frame], self._masks)
 
     def __repr__(self) -> str:
         others = [name for name in self.cameras if name != self._camera.name]
         beside = f" (also: {', '.join(others)})" if others else ""
         size = f"{self._camera.width}x{self._camera.height}"
-        return f"<{self._recording.kind} {self.name}: {len(self)} frames of camera {self._camera.name}{beside}, {size}>"
+        n_all = self._camera.n_frames
+        n = f"{len(self)} frames" if len(self) == n_all else f"{len(self)} of {n_all} frames"
+        return f"<{self._recording.kind} {self.name}: {n} of camera {self._camera.name}{beside}, {size}>"
 
     def _repr_html_(self) -> str:
-        return f"{picture_html(self[0].rgb)}<br><code>{escape(repr(self))}</code>"
+        steps = max(min(len(self), STRIP_FRAMES) - 1, 1)
+        shown = sorted({(len(self) - 1) * k // steps for k in range(steps + 1)}) if len(self) else []
+        return f"{''.join(picture_html(self[i].rgb) for i in shown)}<br><code>{escape(repr(self))}</code>"
 
 
 class RecordingTable(Mapping[str, RecordedFrames]):
@@ -142,7 +192,8 @@ class RecordingTable(Mapping[str, RecordedFrames]):
     def __getitem__(self, name: str) -> RecordedFrames:
         if name not in self._names:
             known = f"one of {', '.join(self._names)}" if self._names else f"no {self._what}s, as there are none"
-            raise KeyError(f"{self._where}: {self._what}: expected {known}, got {name}")
+            fix = suggestion(str(name), self._names)
+            raise UnknownName(self._where, self._what, expected=known, got=repr(name), fix=fix)
         return self._opened(name)
 
     def __iter__(self) -> Iterator[str]:
@@ -155,16 +206,10 @@ class RecordingTable(Mapping[str, RecordedFrames]):
         return list(self._names)
 
     def __repr__(self) -> str:
-        return f"<{len(self)} {self._what}s: {', '.join(self._names) or 'none'}>"
+        names = ", ".join(self._names) or "none"
+        return f"<{len(self)} {self._what}{'' if len(self) == 1 else 's'}: {names}>"
 
-
-def picture_html(rgb: np.ndarray) -> str:
-    """A small picture (h, w, 3) uint8 as an `<img>` that needs no file."""
-    import cv2
-
-    from bask_data.drawing.pictures import jpeg_uri
-
-    height, width = rgb.shape[:2]
-    share = min(THUMBNAIL / max(height, width), 1.0)
-    size = (max(round(width * share), 1), max(round(height * share), 1))
-    return f'<img alt="" src="{jpeg_uri(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))}">'
+    def _repr_html_(self) -> str:
+        shown = "".join(f"<p>{self[name]._repr_html_()}</p>" for name in self._names[:MOST_SHOWN])
+        others = ", ".join(self._names[MOST_SHOWN:])
+        return f"<p><b>{escape(repr(self))}</b></p>{shown}" + (f"<p>and {escape(others)}</p>" if others else "")

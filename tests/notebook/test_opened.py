@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 from torch.utils.data import DataLoader
 
 import bask_data as bask
@@ -50,7 +51,7 @@ def ds(tmp_path_factory: pytest.TempPathFactory) -> OpenDataset:
             for i_frame in range(N_FRAMES):
                 writer.append(
                     mean=np.full((2, 3), i_frame / 10),
-                    covariance=np.zeros((2, 3, 3)),
+                    covariance=np.tile(np.diag([4e-4, 9e-4, 12e-4]), (2, 1, 1)),
                     mode=np.zeros((2, 3)),
                     n_eff=np.ones(2),
                     log_evidence=np.zeros(2),
@@ -85,7 +86,13 @@ def test_a_frame_has_its_arrays_in_metres(ds: OpenDataset) -> None:
     np.testing.assert_array_equal(frame.K, scan.K)
     assert frame.time == scan.time[-1]
     assert frame.mask.shape == (HEIGHT, WIDTH) and {*np.unique(frame.mask)} == {0, 1, 2}
-    assert [one.index for one in frames[2:6:2]] == [2, 4]
+    some = frames[2:6:2]
+    assert [one.index for one in some] == [2, 4] and some[-1].index == 4 and len(some[:0]) == 0
+    assert [one.index for one in frames[::-1]] == list(range(N_FRAMES))[::-1]
+    assert frames[np.int64(3)].index == 3
+    np.testing.assert_array_equal(some.world_from_cameras, scan.world_from_cameras[2:6:2])
+    np.testing.assert_array_equal(some.time, scan.time[[2, 4]])
+    np.testing.assert_array_equal(some.K, scan.K)
     assert len(ds.demonstrations["demo0"]) == N_FRAMES and ds.demonstrations["demo0"].robot is None
 
 
@@ -99,11 +106,13 @@ def test_results_are_arrays(ds: OpenDataset) -> None:
     for uv, by_pair in ((matches.uv_a, matches.frame_a), (matches.uv_b, matches.frame_b)):
         u, v = np.rint(uv[i]).astype(int)
         assert frames[int(by_pair[matches.pair[i]])].mask[v, u] == matches.instance[i]
-    some = ds.matches("table1", [int(matches.pair[-1])])
+    assert matches.pairs.tolist() == sorted({*matches.pair.tolist()})
+    some = ds.matches("table1", int(matches.pair[-1]))
     assert 0 < len(some) < len(matches) and {*some.pair.tolist()} == {int(matches.pair[-1])}
     track = ds.keypoints("demo0")
     assert track.names == ("tip", "rim") and track.mean.shape == (N_FRAMES, 2, 3)
     np.testing.assert_allclose(track.mean[3], 0.3)
+    np.testing.assert_allclose(track.spread, 0.05, rtol=1e-5)
     assert track.observed["wrist"].all() and track.pixel["wrist"].shape == (N_FRAMES, 2, 2)
 
 
@@ -118,13 +127,29 @@ def test_run_makes_what_is_stale_and_status_says_so(ds: OpenDataset) -> None:
 @pytest.mark.parametrize(
     ("asked", "error", "message"),
     [
-        (lambda ds: ds.scans["tabel1"], KeyError, "scan: expected one of table1, got tabel1"),
+        (
+            lambda ds: ds.scans["tabel1"],
+            KeyError,
+            "scan: expected one of table1, got 'tabel1'.  fix: did you mean table1?",
+        ),
+        (
+            lambda ds: ds.scans["table1"]["wrist"],
+            TypeError,
+            r'got str \'wrist\'.  fix: .camera\("wrist"\) gives the frames',
+        ),
+        (lambda ds: ds.scans["table1"][1.5], TypeError, "frame: expected a whole number or a slice, got float 1.5"),
+        (lambda ds: ds.scans["table1"][2:4][2], IndexError, "table1: frame: expected one of 0 to 1, got 2"),
+        (lambda ds: ds.matches("table1", [0, 99]), UsageError, "pairs: expected some of 0 to 5, got 99"),
         (lambda ds: ds.scans["table1"].camera("head"), UsageError, "camera: expected one of wrist, got head"),
         (lambda ds: ds.scans["table1"][8], IndexError, "table1: frame: expected one of 0 to 7, got 8"),
         (lambda ds: ds.demonstrations["demo0"][0].mask, UsageError, "mask: expected a frame of a scan, got the demon"),
         (lambda ds: ds.objects("demo0"), UsageError, "scene: expected one of table1, got demo0"),
         (lambda ds: ds.keypoints("demo0", "x"), UsageError, "variant: expected one of main, got x"),
-        (lambda ds: ds.run("trane"), UsageError, "stage: expected one of reconstruct, .*, got trane"),
+        (
+            lambda ds: ds.run("trane"),
+            UsageError,
+            "stage: expected one of reconstruct, .*, got trane.  fix: did you mean train",
+        ),
         (lambda ds: ds.run("objects", only="x"), UsageError, "expected one of table1, got x"),
         (lambda ds: ds.run("encode"), UsageError, "encode demo0: expected its inputs, got "),
         (lambda ds: bask.open(ds.root / "scan"), BadData, "expected a dataset"),
@@ -144,13 +169,24 @@ def test_what_has_not_been_made_is_said_with_how_to(tmp_path: Path) -> None:
 
 
 def test_everything_says_what_is_inside(ds: OpenDataset) -> None:
-    assert repr(ds) == f"<dataset a <table> at {ds.root}: 1 scans, 1 demonstrations>"
-    assert repr(ds.scans) == "<1 scans: table1>"
+    assert repr(ds) == f"<dataset a <table> at {ds.root}: 1 scan: table1, 1 demonstration: demo0>"
+    assert repr(ds.scans) == "<1 scan: table1>"
     assert repr(ds.scans["table1"]) == f"<scan table1: 8 frames of camera wrist, {WIDTH}x{HEIGHT}>"
+    assert repr(ds.scans["table1"][1:3]) == f"<scan table1: 2 of 8 frames of camera wrist, {WIDTH}x{HEIGHT}>"
     assert repr(ds.scans["table1"][0]) == f"<frame 0 of camera wrist: {WIDTH}x{HEIGHT}, 0.00 s>"
     assert repr(ds.keypoints("demo0")) == "<2 keypoints over 8 frames, particle filter: tip, rim>"
     assert repr(ds.objects("table1")).startswith("<2 objects of ")
     assert re.fullmatch(r"<\d+ matches in 6 pairs of frames>", repr(ds.matches("table1")))
+    assert (
+        f'<td style="text-align: left">{ds.objects("table1").rows[1].n_vertices}</td>'
+        in ds.objects("table1")._repr_html_()
+    )
+    assert (
+        ds.scans["table1"]._repr_html_().count("<img") == 3 and ds.scans["table1"][:1]._repr_html_().count("<img") == 1
+    )
+    assert "<img" not in ds.scans["table1"][:0]._repr_html_() and ds._repr_html_().count("<img") == 6
+    assert repr(bask.torch.Frames(ds)) == f"<{N_FRAMES} frames of table1>"
+    assert repr(bask.torch.Matches(ds, n=5)) == "<6 pairs of frames with 5 matches each, of table1, seed 0>"
     html = ds._repr_html_()
     assert "&lt;table&gt;" in html and "a <table>" not in html
     encoded = re.search(r'src="data:image/jpeg;base64,([^"]+)"', ds.scans["table1"]._repr_html_())
@@ -159,6 +195,13 @@ def test_everything_says_what_is_inside(ds: OpenDataset) -> None:
         np.abs(one.astype(int) - ds.scans["table1"][0].rgb).mean() for one in (picture, picture[..., ::-1])
     )
     assert away < 10 and away < 0.7 * swapped  # JPEG does not keep noise.
+
+
+def test_a_notebook_completes_names(ds: OpenDataset) -> None:
+    assert ds.scans._ipython_key_completions_() == ["table1"]
+    assert {"scans", "demonstrations", "objects", "matches", "keypoints", "run", "status"} <= {*dir(ds)}
+    assert "tabel1" not in ds.scans and ds.scans.get("tabel1") is None
+    assert {"rgb", "depth", "mask", "K", "world_from_camera", "time"} <= {*dir(ds.scans["table1"][0])}
 
 
 def test_frames_come_as_tensors_and_cross_to_a_worker(ds: OpenDataset) -> None:
@@ -172,6 +215,22 @@ def test_frames_come_as_tensors_and_cross_to_a_worker(ds: OpenDataset) -> None:
         np.testing.assert_array_equal(one["mask"].numpy(), frame.mask)
     [batch, *_] = DataLoader(frames, batch_size=4, num_workers=1, multiprocessing_context="spawn")
     assert batch["rgb"].shape == (4, 3, HEIGHT, WIDTH) and batch["scan"] == ["table1"] * 4
+
+
+@pytest.mark.parametrize("context", ["fork", "spawn"])
+def test_samples_and_their_order_do_not_depend_on_workers(ds: OpenDataset, context: str) -> None:
+    matches = bask.torch.Matches(ds, "table1", n=20, seed=1)
+    _ = matches[0]  # Files are open when workers fork.
+
+    def batches(**options) -> list[dict]:
+        order = torch.Generator().manual_seed(7)
+        return list(DataLoader(matches, batch_size=2, shuffle=True, generator=order, **options))
+
+    here, there = batches(), batches(num_workers=2, multiprocessing_context=context)
+    assert [one["pair"].tolist() for one in here] != [[0, 1], [2, 3], [4, 5]]
+    for one, other in zip(here, there, strict=True):
+        for name, value in one.items():
+            assert torch.equal(value, other[name]) if isinstance(value, torch.Tensor) else value == other[name], name
 
 
 def test_matches_are_the_same_for_the_same_seed_wherever_they_are_read(ds: OpenDataset) -> None:
