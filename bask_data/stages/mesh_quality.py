@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from bask_data.kinds import CameraFrames
+from bask_data.kinds import Camera
 from bask_data.kinds.reconstruction import FrameRow, UnmeasuredRegion
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from bask_data.core.fit import FacedSurface, Fit, Sketch
     from bask_data.core.tsdf import Mesh
 
-FrameOfCamera = tuple[CameraFrames, int]
+FrameOfCamera = tuple[Camera, int]
 """A camera and the number of one of its frames."""
 
 N_SEARCHED = 48
