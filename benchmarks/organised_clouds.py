@@ -27,7 +27,7 @@ from scipy.spatial import cKDTree
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))  # The reader is among the tests.
 
-from bask_data.core.objects import split_objects
+from bask_data.core.objects import SplitSettings, split_objects
 from bask_data.core.planes import upward
 from bask_data.stages.objects import ObjectsParams
 from tests.organised_clouds import read_pcd, surface_of
@@ -79,9 +79,7 @@ def main() -> None:
             vertices,
             triangles,
             np.random.default_rng(0),
-            voxel_size=VOXEL_SIZE,
-            guess_up=upward(np.eye(4)[None]),
-            eps=options.eps,
+            SplitSettings(voxel_size=VOXEL_SIZE, guess_up=upward(np.eye(4)[None]), eps=options.eps),
         )
         seconds = time.perf_counter() - begun
         found = split.vertex_instance[label > 0]

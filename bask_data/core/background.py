@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from bask_data.core.planes import (
     Plane,
+    PlaneSearch,
     above_footprint,
     find_planes,
     height,
@@ -25,7 +26,7 @@ Support = Literal["planes", "plane", "none"]
 """The support and walls are background, the support alone is, or nothing is."""
 RIVAL_SHARE = 0.5
 """A second plane this large beside the support is worth a word: the choice between them was close."""
-NOISE_SIGMAS = 4.0
+PLANE_NOISE_SIGMAS = 4.0
 """Surface further above a plane than this is no noise of the plane."""
 NOISIEST = 2.5
 """Times the tolerance of the search that a support may be thick. What is lower than the noise of a bad sensor cannot be
@@ -54,6 +55,7 @@ LEVEL = np.cos(np.deg2rad(15.0))
 """Steps and shelves turn less than this from the support. Upright planes must be walls to be structure, however long:
 to take a crate's sides away would leave its ends."""
 N_STRUCTURES = 6
+"""Planes looked at for walls and shelves: the four sides of a bin, and two shelves. Sensitivity not measured."""
 STRUCTURE_SHARE = 0.05
 """Of the surface above the support that a wall holds at least."""
 
@@ -97,32 +99,52 @@ class MeshVertices:
         return MeshVertices(self.points[chosen], self.normals[chosen], self.areas[chosen])
 
 
+@dataclass(frozen=True)
+class BackgroundSettings:
+    """What is background.
+
+    Args:
+        voxel_size: metres; what the surface cannot resolve.
+        support: what is background: the support and walls, the support alone, or nothing.
+        plane: the support; found when not given.
+        up: unit vector the support faces, within 30 degrees; any when None.
+        guess_up: unit vector; of several planes the one that faces it is preferred.
+        inlier: metres off a plane that still count for it when it is looked for.
+        above: heights above the support, metres, between which surface belongs to objects; by default from a voxel or
+            the noise to 1 m.
+        margin: metres an object may stand out over the seen support.
+        max_extent: metres an object is long at most.
+    """
+
+    voxel_size: float
+    support: Support = "planes"
+    plane: Float[ndarray, "4"] | None = None
+    up: Float[ndarray, "3"] | None = None
+    guess_up: Float[ndarray, "3"] | None = None
+    inlier: float = 0.01
+    above: tuple[float, float] | None = None
+    margin: float = 0.0
+    max_extent: float = 0.6
+
+
 def find_background(
     surface: MeshVertices,
     rng: np.random.Generator,
-    *,
-    voxel_size: float,
-    support: Support = "planes",
-    plane: Float[ndarray, "4"] | None = None,
-    up: Float[ndarray, "3"] | None = None,
-    guess_up: Float[ndarray, "3"] | None = None,
-    inlier: float = 0.01,
-    above: tuple[float, float] | None = None,
-    margin: float = 0.0,
-    max_extent: float = 0.6,
+    settings: BackgroundSettings,
 ) -> Background:
-    """Part a scene into background and what may be objects; the arguments are those of `split_objects`."""
+    """Part a scene into background and what may be objects."""
+    plane, inlier, voxel_size = settings.plane, settings.inlier, settings.voxel_size
     real = surface.areas > 0
-    if support == "none":
+    if settings.support == "none":
         return Background(real, np.zeros(len(real), bool))
     if plane is None:
-        found, warnings = support_of_scene(surface, rng, up, guess_up, inlier)
+        found, warnings = support_of_scene(surface, rng, settings.up, settings.guess_up, inlier)
     else:
         found, warnings = given_support(plane, surface, inlier), ()
     if found is None:
         return Background(np.zeros(len(real), bool), np.zeros(len(real), bool), warnings=warnings)
     cut = thickness(found, voxel_size, NOISIEST * inlier)
-    low, high = (cut, MAX_HEIGHT) if above is None else above
+    low, high = (cut, MAX_HEIGHT) if settings.above is None else settings.above
     heights = height(surface.points, found.plane)
     over = real & (heights > 0) & (heights < high)
     floor = on_plane(surface.points, surface.normals, found.plane, max(inlier, cut)) & real
@@ -131,11 +153,17 @@ def find_background(
     if plane is None:
         for chosen, wider in ((beside, 2 * inlier), (over, 0.0)):
             chosen[chosen] = above_footprint(
-                surface.points[chosen], found.plane, surface.points[floor], surface.areas[floor], margin + wider
+                surface.points[chosen],
+                found.plane,
+                surface.points[floor],
+                surface.areas[floor],
+                settings.margin + wider,
             )
     structure: list[Plane] = []
-    if support == "planes":
-        for wall, is_wall in walls(surface, beside & (heights > low), floor, found.plane, rng, inlier, max_extent):
+    if settings.support == "planes":
+        for wall, is_wall in walls(
+            surface, beside & (heights > low), floor, found.plane, rng, inlier, settings.max_extent
+        ):
             apart = height(surface.points, wall.plane)
             # No more than the tolerance here: what leans on a wall would go with it.
             depth = thickness(wall, voxel_size, inlier)
@@ -149,7 +177,7 @@ def find_background(
 
 def thickness(plane: Plane, voxel_size: float, most: float) -> float:
     """Metres from a plane within which surface is the plane's: a voxel, or the noise."""
-    return max(voxel_size, min(NOISE_SIGMAS * plane.noise, most))
+    return max(voxel_size, min(PLANE_NOISE_SIGMAS * plane.noise, most))
 
 
 def given_support(plane: Float[ndarray, "4"], surface: MeshVertices, inlier: float) -> Plane:
@@ -170,7 +198,7 @@ def support_of_scene(
 ) -> tuple[Plane | None, tuple[str, ...]]:
     """The likeliest plane of which nothing speaks against its being the support; without one the likeliest, with what
     speaks against it as warnings."""
-    planes = find_planes(surface.points, surface.normals, surface.areas, rng, inlier, up, guess_up)
+    planes = find_planes(surface.points, surface.normals, surface.areas, rng, PlaneSearch(inlier, up, guess_up))
     if not planes:
         return None, ("no support plane was found, so nothing can be told from the background",)
     doubts = [doubt(one, surface, inlier) for one in planes]
@@ -249,9 +277,8 @@ def walls(
     above = surface[foreground]
     scene = surface[foreground | floor]
     found: list[tuple[Plane, bool]] = []
-    for one in find_planes(
-        above.points, above.normals, above.areas, rng, inlier, n_planes=N_STRUCTURES, min_share=STRUCTURE_SHARE
-    ):
+    search = PlaneSearch(inlier, n_planes=N_STRUCTURES, min_share=STRUCTURE_SHARE)
+    for one in find_planes(above.points, above.normals, above.areas, rng, search):
         mine = on_plane(above.points, above.normals, one.plane, inlier)
         patch = above.points[mine]
         patch = patch[largest_patch(patch @ plane_axes(one.plane).T, above.areas[mine])]

@@ -26,6 +26,7 @@ COLUMNS = np.array(
 """(25, 2) offsets in x and y of the neighbours of a cell, nearest first; cells of one column follow each other in the
 order of keys."""
 MAX_KEY = 2**62
+"""Cells are numbered by 64-bit integers; half of what these hold, so that neighbours have numbers, too."""
 ROUNDING = 1e-9
 """Relative. Cells are smaller by this, so that rounding cannot make their diagonal longer than eps; and weights that
 equal `core_weight` reach it in whatever order they are summed."""

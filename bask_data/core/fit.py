@@ -16,6 +16,7 @@ LEAST_JUDGED = 50
 """Rays of a frame below which nothing is said of it, and frames below which none stands out."""
 
 LEAST_FRAMES = 5
+"""A frame is compared with the two before and after it."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from bask_data.core.scores import true_depth
 
 WINDOW = 2
 """Half the window, in pixels, whose depths tell how a surface lies."""
-SAME_SURFACE = 0.05
+SAME_SLOPE = 0.05
 """Depths around a pixel are of its surface where they differ from its own by at most this share."""
 FRONTAL = 1e-3
 """Weight of the wish that a surface faces the camera, against one pixel's measurement: it decides where nothing else
@@ -38,7 +38,7 @@ def surface_tangents(
     u, v = u.clip(0, width - 1), v.clip(0, height - 1)
     z, own = depth[v, u].astype(np.float64), depth[centre[:, 1], centre[:, 0]].astype(np.float64)
     same = labels[v, u] == labels[centre[:, 1], centre[:, 0]][:, None]
-    fits = around & same & (z > 0) & (np.abs(z - own[:, None]) <= SAME_SURFACE * own[:, None])
+    fits = around & same & (z > 0) & (np.abs(z - own[:, None]) <= SAME_SLOPE * own[:, None])
     offset = np.stack([u - uv[:, :1], v - uv[:, 1:], np.ones(u.shape)], axis=-1) * fits[..., None]
     inverse = np.where(fits, 1.0 / np.where(z > 0, z, 1.0), 0.0)
     normal = np.einsum("npi,npj->nij", offset, offset) + FRONTAL * np.diag([1.0, 1.0, 0.0])

@@ -236,7 +236,7 @@ def object_shares(landings: Sequence[Landing], chosen: Bool[ndarray, "k"] | None
     )
 
 
-SAME_SURFACE = 0.02
+INTERPOLABLE = 0.02
 """Depths around a position belong to one surface where the farthest is at most this share beyond the nearest."""
 
 
@@ -259,13 +259,28 @@ def true_depth(
     around = np.stack([depth[corner] for corner in corners]).astype(np.float64)
     one_body = np.all([labels[corner] == labels[v, u] for corner in corners], axis=0)
     lowest, highest = around.min(axis=0), around.max(axis=0)
-    smooth = one_body & (lowest > 0) & (highest <= (1 + SAME_SURFACE) * lowest)
+    smooth = one_body & (lowest > 0) & (highest <= (1 + INTERPOLABLE) * lowest)
     along_u, along_v = np.clip(uv - np.stack([u0, v0], axis=1), 0.0, 1.0).T
     weights = np.stack(
         [(1 - along_u) * (1 - along_v), along_u * (1 - along_v), (1 - along_u) * along_v, along_u * along_v]
     )
     between = 1.0 / (weights / np.where(smooth, around, 1.0)).sum(axis=0)
     return np.where(inside, np.where(smooth, between, nearest), 0.0)
+
+
+@dataclass(frozen=True)
+class TrueView:
+    """What one view truly shows.
+
+    Args:
+        depth: z-depth, metres; 0 where nothing is shown.
+        labels: the body at each pixel.
+    """
+
+    depth: Float32[ndarray, "h w"]
+    labels: UInt8[ndarray, "h w"]
+    K: Float[ndarray, "3 3"]
+    world_from_camera: Float[ndarray, "4 4"]
 
 
 @dataclass(frozen=True)
@@ -289,30 +304,25 @@ class MatchErrors:
 def match_errors(
     uv_a: Float[ndarray, "m 2"],
     uv_b: Float[ndarray, "m 2"],
-    depth_a: Float32[ndarray, "h_a w_a"],
-    depth_b: Float32[ndarray, "h_b w_b"],
-    labels_a: UInt8[ndarray, "h_a w_a"],
-    K_a: Float[ndarray, "3 3"],
-    K_b: Float[ndarray, "3 3"],
-    world_from_a: Float[ndarray, "4 4"],
-    world_from_b: Float[ndarray, "4 4"],
+    a: TrueView,
+    b: TrueView,
 ) -> MatchErrors:
     """Hold matches against exact depth and exact cameras.
 
     Args:
         uv_a, uv_b: pixels of the two views that are said to show one point.
-        depth_a, depth_b: true z-depth, metres; 0 where nothing is shown.
-        labels_a: the true body at each pixel of the first view.
     """
-    z_a = true_depth(depth_a, labels_a, uv_a.astype(np.float64))
-    points_b = transform(invert_rigid(world_from_b) @ world_from_a, unproject(uv_a.astype(np.float64), z_a, K_a))
+    z_a = true_depth(a.depth, a.labels, uv_a.astype(np.float64))
+    points_b = transform(
+        invert_rigid(b.world_from_camera) @ a.world_from_camera, unproject(uv_a.astype(np.float64), z_a, a.K)
+    )
     points_b[z_a <= 0] = np.nan
-    true_uv, z_b = project(points_b, K_b)
+    true_uv, z_b = project(points_b, b.K)
     error = np.linalg.norm(true_uv - uv_b, axis=1)
-    inside = in_image(true_uv, *depth_b.shape)
+    inside = in_image(true_uv, *b.depth.shape)
     nearest = np.rint(np.where(inside[:, None], true_uv, 0.0)).astype(np.int64)
     # Rounding a position on the last half pixel may lead out of the image.
-    u, v = nearest.clip(0, [depth_b.shape[1] - 1, depth_b.shape[0] - 1]).T
-    shown = depth_b[v, u].astype(np.float64)
+    u, v = nearest.clip(0, [b.depth.shape[1] - 1, b.depth.shape[0] - 1]).T
+    shown = b.depth[v, u].astype(np.float64)
     behind = np.where(inside & (shown > 0), z_b - shown, -np.inf)
     return MatchErrors(np.where(np.isfinite(error), error, np.inf), z_b, behind)

@@ -13,10 +13,10 @@ from scipy import ndimage
 from bask_data.core.fit import Sketch
 from bask_data.core.geometry import invert_rigid
 
-MARGIN = 0.15
+WORKSPACE_MARGIN = 0.15
 """Metres around the workspace that are searched too: what was not measured had no say in its size."""
 
-N_CELLS = 150_000
+N_SEARCHED_CELLS = 150_000
 """Cells the workspace is cut into at most."""
 
 LEAST_CELL = 0.008
@@ -70,7 +70,7 @@ def unmeasured_regions(views: Sequence[SketchedView], bounds: Float[ndarray, "2 
     nearer to a camera than anything that was measured may just be too near for the sensor.
     """
     nearest = min((_nearest(view.sketch.depth) for view in views), default=np.inf)
-    lowest, cell, shape = _cells(bounds + np.array([[-MARGIN], [MARGIN]]))
+    lowest, cell, shape = _cells(bounds + np.array([[-WORKSPACE_MARGIN], [WORKSPACE_MARGIN]]))
     centres = (lowest + (np.indices(shape).reshape(3, -1).T + 0.5) * cell).astype(np.float32)
     n_blind, n_looked = np.zeros(len(centres), np.int32), np.zeros(len(centres), np.int32)
     towards = np.zeros((len(centres), 3), np.float32)
@@ -90,7 +90,7 @@ def unmeasured_regions(views: Sequence[SketchedView], bounds: Float[ndarray, "2 
 def _cells(bounds: Float[ndarray, "2 3"]) -> tuple[Float[ndarray, "3"], float, tuple[int, int, int]]:
     """Lowest corner, edge and numbers of the cells that fill the bounds."""
     size = bounds[1] - bounds[0]
-    cell = max(LEAST_CELL, float(np.prod(size) / N_CELLS) ** (1 / 3))
+    cell = max(LEAST_CELL, float(np.prod(size) / N_SEARCHED_CELLS) ** (1 / 3))
     nx, ny, nz = (max(1, int(n)) for n in np.ceil(size / cell))
     return bounds[0], cell, (nx, ny, nz)
 

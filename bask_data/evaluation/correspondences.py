@@ -70,10 +70,12 @@ def matches_of(dataset: Dataset, scene: str) -> MatchScore:
         mine = slice(n_done, n_done + pair["n_matches"])
         n_done = mine.stop
         uv_a, uv_b = (np.stack([column[f"u_{one}"][mine], column[f"v_{one}"][mine]], axis=1) for one in "ab")
-        (depth_a, labels_a), (depth_b, _) = (seen(pair[f"camera_{one}"], pair[f"frame_{one}"]) for one in "ab")
-        K_a, K_b = (scan.camera(pair[f"camera_{one}"]).K for one in "ab")
-        a, b = (truth.world_from_cameras(pair[f"camera_{one}"])[pair[f"frame_{one}"]] for one in "ab")
-        found = scores.match_errors(uv_a, uv_b, depth_a, depth_b, labels_a, K_a, K_b, a, b)
+        places = [(pair[f"camera_{one}"], pair[f"frame_{one}"]) for one in "ab"]
+        a, b = (
+            scores.TrueView(*seen(camera, i), scan.camera(camera).K, truth.world_from_cameras(camera)[i])
+            for camera, i in places
+        )
+        found = scores.match_errors(uv_a, uv_b, a, b)
         errors.append(found.error_px)
         n_hidden += int(found.hidden().sum())
     return MatchScore(np.concatenate(errors), n_hidden)

@@ -27,7 +27,7 @@ N_SURFACE_POINTS = 512
 """Points on the objects by which the overlap of two frames is judged."""
 LEAST_TOLERANCE = (0.005, 0.01)
 """(a, b): depths agree within a + b z metres on a quiet sensor: voxels and poses are not better than that."""
-NOISE_SIGMAS = 2.5
+MATCH_NOISE_SIGMAS = 2.5
 """Standard deviations of the sensor's noise within which depths agree."""
 FAR = 10.0
 """Depth above this counts as not measured, metres."""
@@ -252,7 +252,7 @@ def _tolerance(masks: VisibleMasks, params: CorrespondencesParams) -> tuple[floa
     """(a, b): depths agree within a + b z metres. What is not given follows the noisiest of the cameras."""
     noise = masks.metadata.noise.values()
     found = [
-        max(least, *(NOISE_SIGMAS * one[k] for one in noise)) if noise else least
+        max(least, *(MATCH_NOISE_SIGMAS * one[k] for one in noise)) if noise else least
         for k, least in enumerate(LEAST_TOLERANCE)
     ]
     return (

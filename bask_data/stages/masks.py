@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from bask_data.core.visibility.completion import Completion
     from bask_data.core.visibility.labelled import LabelledSurface
 
-N_SURVEYED = 16
+N_FRAMES_SURVEYED = 16
 """Frames a camera is looked at beforehand, to learn its noise, what is fixed to it, and what it saw through."""
 
 
@@ -123,7 +123,7 @@ def _surveyed(camera: Camera) -> np.ndarray:
     """Frames spread evenly over a camera's path."""
     import numpy as np
 
-    return np.unique(np.linspace(0, camera.n_frames - 1, min(N_SURVEYED, camera.n_frames)).round().astype(int))
+    return np.unique(np.linspace(0, camera.n_frames - 1, min(N_FRAMES_SURVEYED, camera.n_frames)).round().astype(int))
 
 
 def _residuals(camera: Camera, surface: LabelledSurface, params: MasksParams) -> np.ndarray:

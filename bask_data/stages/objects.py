@@ -72,16 +72,13 @@ def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, o
     """
     import numpy as np
 
-    from bask_data.core.objects import split_objects
+    from bask_data.core.objects import SplitSettings, split_objects
     from bask_data.core.planes import upward
 
     for name in ("plane", "above"):
         if params.support == "none" and getattr(params, name) is not None:
             raise UsageError("objects", name, expected=f"no {name} with --support none", got=f"{getattr(params, name)}")
-    split = split_objects(
-        reconstruction.vertices,
-        reconstruction.triangles,
-        np.random.default_rng(params.seed),
+    settings = SplitSettings(
         voxel_size=reconstruction.voxel_size,
         support=params.support,
         plane=_vector("plane", params.plane),
@@ -95,6 +92,8 @@ def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, o
         min_area=params.min_area,
         max_extent=params.max_extent,
     )
+    rng = np.random.default_rng(params.seed)
+    split = split_objects(reconstruction.vertices, reconstruction.triangles, rng, settings)
     names = [*params.names, *[""] * len(split.instances)]
     support = split.background.support
     rows = [_plane_row("support", support)] if support else []

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bask_data.core.background import MeshVertices, find_background, is_another
+from bask_data.core.background import BackgroundSettings, MeshVertices, find_background, is_another
 from bask_data.core.objects import vertex_normals_and_areas
 from bask_data.core.planes import Plane
 from tests.meshes import THREE, block, joined, sheet, table
@@ -15,7 +15,7 @@ def background(parts, **options):
     """The background of a mesh of several parts, and the part each vertex came from."""
     vertices, triangles, source = joined([part[:2] for part in parts])
     surface = MeshVertices(vertices, *vertex_normals_and_areas(vertices, triangles))
-    found = find_background(surface, np.random.default_rng(0), **{"voxel_size": 0.004, **options})
+    found = find_background(surface, np.random.default_rng(0), BackgroundSettings(**{"voxel_size": 0.004, **options}))
     return found, vertices, source
 
 
@@ -62,7 +62,7 @@ def test_walls_of_a_bin_are_background_and_what_stands_in_it_is_not(angle):
 def test_the_sides_of_a_box_are_no_walls(size, where):
     vertices, triangles, source = table([(*where, size)])
     surface = MeshVertices(vertices, *vertex_normals_and_areas(vertices, triangles))
-    found = find_background(surface, np.random.default_rng(0), voxel_size=0.004)
+    found = find_background(surface, np.random.default_rng(0), BackgroundSettings(voxel_size=0.004))
     assert found.structure == ()
     assert found.foreground[(source == 1) & (vertices[:, 2] > 0.005)].all()
 
@@ -111,7 +111,7 @@ def test_without_a_support_everything_with_a_surface_is_foreground():
     vertices, triangles, _ = table(THREE)
     stray = np.concatenate([vertices, np.float32([[9, 9, 9]])])
     surface = MeshVertices(stray, *vertex_normals_and_areas(stray, triangles))
-    found = find_background(surface, np.random.default_rng(0), voxel_size=0.004, support="none")
+    found = find_background(surface, np.random.default_rng(0), BackgroundSettings(voxel_size=0.004, support="none"))
     assert found.foreground[:-1].all()
     assert not found.foreground[-1]
     assert found.support is None
@@ -131,7 +131,7 @@ def test_a_tilted_plane_through_a_table_is_the_same_table_and_a_level_shelf_is_a
 def test_noise_of_a_bad_sensor_is_neither_an_object_nor_a_step():
     vertices, triangles, source = table(THREE, noise=0.006)
     surface = MeshVertices(vertices, *vertex_normals_and_areas(vertices, triangles))
-    found = find_background(surface, np.random.default_rng(0), voxel_size=0.004)
+    found = find_background(surface, np.random.default_rng(0), BackgroundSettings(voxel_size=0.004))
     assert found.structure == ()
     assert 0.015 < found.low <= 0.025
     assert found.foreground[source == 0].mean() < 0.005

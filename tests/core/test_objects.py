@@ -11,7 +11,9 @@ from tests.meshes import THREE, block, joined, sheet, table
 
 
 def split(vertices, triangles, seed=0, **options):
-    return objects.split_objects(vertices, triangles, np.random.default_rng(seed), **{"voxel_size": 0.004, **options})
+    return objects.split_objects(
+        vertices, triangles, np.random.default_rng(seed), objects.SplitSettings(**{"voxel_size": 0.004, **options})
+    )
 
 
 def test_every_object_is_found_and_numbered_by_its_surface():

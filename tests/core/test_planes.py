@@ -57,8 +57,12 @@ def test_the_plane_and_its_noise_are_found_in_any_frame(seed):
 def test_the_larger_plane_comes_first_unless_it_cannot_be_up():
     points, normals, areas = table_and_wall(np.random.default_rng(0))
     plain = planes.find_planes(points, normals, areas, np.random.default_rng(1))
-    guessed = planes.find_planes(points, normals, areas, np.random.default_rng(1), guess_up=np.array([0.0, 0.6, 0.8]))
-    told = planes.find_planes(points, normals, areas, np.random.default_rng(1), up=np.array([0.0, 0.0, 1.0]))
+    guessed = planes.find_planes(
+        points, normals, areas, np.random.default_rng(1), planes.PlaneSearch(guess_up=np.array([0.0, 0.6, 0.8]))
+    )
+    told = planes.find_planes(
+        points, normals, areas, np.random.default_rng(1), planes.PlaneSearch(up=np.array([0.0, 0.0, 1.0]))
+    )
     np.testing.assert_allclose([one.plane for one in plain], [[-1, 0, 0, 0.45], [0, 0, 1, 0]], atol=2e-3)
     np.testing.assert_allclose([one.plane for one in guessed], [[0, 0, 1, 0], [-1, 0, 0, 0.45]], atol=2e-3)
     np.testing.assert_allclose([one.plane for one in told], [[0, 0, 1, 0]], atol=2e-3)
@@ -70,7 +74,11 @@ def test_a_table_ten_times_the_rest_wins_against_a_wrong_guess():
     side = np.stack([np.zeros(1000), *rng.uniform(0, 0.1, (2, 1000))], axis=1)
     all_normals = np.concatenate([normals, np.tile([1.0, 0, 0], (1000, 1))])
     found = planes.find_planes(
-        np.concatenate([points, side]), all_normals, np.full(21_000, 4e-5), rng, guess_up=np.array([0.6, 0.0, -0.8])
+        np.concatenate([points, side]),
+        all_normals,
+        np.full(21_000, 4e-5),
+        rng,
+        planes.PlaneSearch(guess_up=np.array([0.6, 0.0, -0.8])),
     )
     np.testing.assert_allclose(found[0].plane, [0, 0, 1, 0], atol=2e-3)
 
@@ -90,12 +98,19 @@ def test_no_surface_and_clutter_hold_no_plane():
     assert planes.find_planes(np.zeros((5, 3)), np.zeros((5, 3)), np.zeros(5), rng) == []
     facing = rng.normal(size=(3000, 3))
     facing /= np.linalg.norm(facing, axis=1)[:, None]
-    assert planes.find_planes(rng.uniform(-1, 1, (3000, 3)), facing, np.full(3000, 1e-3), rng, min_share=0.1) == []
+    assert (
+        planes.find_planes(
+            rng.uniform(-1, 1, (3000, 3)), facing, np.full(3000, 1e-3), rng, planes.PlaneSearch(min_share=0.1)
+        )
+        == []
+    )
 
 
 def test_an_inlier_distance_that_is_not_positive_is_refused():
     with pytest.raises(ValueError, match="inlier must be > 0 metres, got 0\\.0"):
-        planes.find_planes(np.zeros((5, 3)), np.zeros((5, 3)), np.ones(5), np.random.default_rng(0), inlier=0.0)
+        planes.find_planes(
+            np.zeros((5, 3)), np.zeros((5, 3)), np.ones(5), np.random.default_rng(0), planes.PlaneSearch(inlier=0.0)
+        )
 
 
 def test_cameras_round_a_table_and_level_ones_before_a_shelf_agree_on_up():

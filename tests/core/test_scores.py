@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
 from bask_data.core.scores import (
     OUTSIDE,
+    TrueView,
     best_instances,
     distribution,
     joined,
@@ -185,6 +186,10 @@ def two_views(objects=()):
     return [scene.render(K, camera, HEIGHT, WIDTH) for camera in cameras], cameras
 
 
+def true_views(views, cameras):
+    return [TrueView(view.depth, view.instance, K, camera) for view, camera in zip(views, cameras, strict=True)]
+
+
 @given(SEEDS)
 def test_error_is_the_distance_to_where_a_formula_says_the_point_is(seed):
     (a, b), cameras = two_views()
@@ -195,7 +200,7 @@ def test_error_is_the_distance_to_where_a_formula_says_the_point_is(seed):
     b_from_a = invert_rigid(cameras[1]) @ cameras[0]
     uv_b, z_b = project(transform(b_from_a, unproject(uv_a, z, K)), K)
     off = rng.normal(scale=2, size=(20, 2))
-    found = match_errors(uv_a, uv_b + off, a.depth, b.depth, a.instance, K, K, *cameras)
+    found = match_errors(uv_a, uv_b + off, *true_views((a, b), cameras))
     assert found.error_px == pytest.approx(np.linalg.norm(off, axis=1), abs=1e-3)
     assert found.depth == pytest.approx(z_b, abs=1e-5)
     assert not found.hidden((0.01, 0.0)).any()
@@ -207,7 +212,7 @@ def test_a_point_behind_a_post_is_hidden_however_right_the_match_is():
     z = true_depth(a.depth, a.instance, uv_a)
     assert z == pytest.approx(a.depth[a.instance == 0], abs=1e-6)
     uv_b, _ = project(transform(invert_rigid(cameras[1]) @ cameras[0], unproject(uv_a, z, K)), K)
-    found = match_errors(uv_a, uv_b, a.depth, b.depth, a.instance, K, K, *cameras)
+    found = match_errors(uv_a, uv_b, *true_views((a, b), cameras))
     behind_post = label_at(b.instance, uv_b) == 1
     assert behind_post.sum() > 50
     np.testing.assert_array_equal(found.hidden(), behind_post)
@@ -232,9 +237,11 @@ def test_a_match_on_nothing_is_infinitely_wrong_and_one_that_leaves_the_image_is
     behind[:3, 3] = [0.0, 0.0, 1.0]
     uv = np.array([[0.0, 0.0], [40.0, 30.0]])
     labels = np.zeros((HEIGHT, WIDTH), np.uint8)
-    found = match_errors(uv, uv, depth, depth, labels, K, K, np.eye(4), away)
+    found = match_errors(uv, uv, TrueView(depth, labels, K, np.eye(4)), TrueView(depth, labels, K, away))
     assert np.isinf(found.error_px[0])
     assert np.isnan(found.depth[0])
     assert np.isfinite(found.error_px[1])
     assert not found.hidden((0.0, 0.0)).any()
-    assert np.isinf(match_errors(uv, uv, depth, depth, labels, K, K, np.eye(4), behind).error_px).all()
+    assert np.isinf(
+        match_errors(uv, uv, TrueView(depth, labels, K, np.eye(4)), TrueView(depth, labels, K, behind)).error_px
+    ).all()

@@ -24,10 +24,11 @@ STEEPEST = float(np.tan(GRAZING_ANGLE))
 ON_SURFACE = 0.005
 """Metres in front of a point in which a hit is still the surface the point is on."""
 
-EDGE = 0.5
+EDGE_JUMP = 0.5
 """A surface begins where depth jumps by more than this share of the tolerance, and the slope of one surface besides."""
 
 N_INSTANCES = 256
+"""Values a label image can hold, 0 for background included."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ def matchable_view(
         sure = np.where(doubtful, np.uint8(0), sure)
         sure.reshape(-1)[where[cosine < GRAZING]] = 0
     instance, depth = np.ascontiguousarray(instance), np.ascontiguousarray(depth)
-    steepest = EDGE * tolerance[0], EDGE * tolerance[1] + STEEPEST / K[0, 0]
+    steepest = EDGE_JUMP * tolerance[0], EDGE_JUMP * tolerance[1] + STEEPEST / K[0, 0]
     inner, pixels, first = inside(instance, np.ascontiguousarray(sure), depth, margin, steepest)
     return MatchableView(depth, instance, inner, pixels, first, K, world_from_camera, margin, noise)
 

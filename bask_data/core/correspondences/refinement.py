@@ -13,6 +13,7 @@ SIGNIFICANT = 2.5
 """The surface is corrected where the measurements around differ from it by so many standard errors of their mean."""
 
 MIN_MEASUREMENTS = 3
+"""Measurements in the window of 25 pixels; the spread of fewer says nothing. Sensitivity not measured."""
 
 TINY = np.float32(1e-12)
 

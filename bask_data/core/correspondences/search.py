@@ -10,7 +10,7 @@ from numba import njit
 from numpy import ndarray
 
 from bask_data.core.compiled import compiled
-from bask_data.core.correspondences.matchable import EDGE, STEEPEST, MatchableView
+from bask_data.core.correspondences.matchable import EDGE_JUMP, STEEPEST, MatchableView
 from bask_data.core.geometry import invert_rigid
 
 REJECTIONS = (
@@ -37,6 +37,7 @@ REJECTIONS = (
 ) = range(len(REJECTIONS))
 
 _MATCH = -1
+"""Stands for no rejection, beside the positions in `REJECTIONS`."""
 
 MOST_REACH = 6
 """Pixels around a match in which, besides the margin, something in front is looked for at most."""
@@ -260,7 +261,7 @@ def depth_between(depth, u, v, tolerance):  # type: ignore[no-untyped-def]
 def _is_crowded(depth, u, v, z, focal, reach, tolerance):  # type: ignore[no-untyped-def]
     """Whether within `reach` pixels some surface is nearer than the slope of one surface explains."""
     height, width = depth.shape
-    allowed = EDGE * (tolerance[0] + tolerance[1] * z)
+    allowed = EDGE_JUMP * (tolerance[0] + tolerance[1] * z)
     nearest = np.float32(z - allowed)
     per_pixel = STEEPEST * z / focal
     for row in range(max(v - reach, 0), min(v + reach + 1, height)):

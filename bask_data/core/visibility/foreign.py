@@ -10,10 +10,10 @@ from numpy import ndarray
 from bask_data.core.compiled import compiled
 from bask_data.core.visibility.labelled import NO_VERTEX
 
-N_COLOURS = 5000
+N_COLOUR_SAMPLES = 5000
 """Pixels whose colour is held against the mesh's to learn a frame's exposure."""
 
-N_COLOURS_LEAST = 200
+N_COLOUR_SAMPLES_LEAST = 200
 """Fewer agreeing pixels than that say nothing of it."""
 
 COLOUR_OFF = 4.0
@@ -48,9 +48,9 @@ def foreign(
     if not (silent & (i_vertex != NO_VERTEX)).any():
         return nothing
     v, u = np.nonzero(agrees & (i_vertex != NO_VERTEX))
-    if len(v) < N_COLOURS_LEAST:
+    if len(v) < N_COLOUR_SAMPLES_LEAST:
         return nothing
-    step = max(1, len(v) // N_COLOURS)
+    step = max(1, len(v) // N_COLOUR_SAMPLES)
     v, u = v[::step], u[::step]
     expected, seen = colors[i_vertex[v, u]].astype(np.float32), rgb[v, u].astype(np.float32)
     gain = np.median(seen, axis=0) / np.maximum(np.median(expected, axis=0), 1)
