@@ -17,9 +17,9 @@ from bask_data.core.depth import filled, in_range
 from bask_data.core.tsdf import Volume
 from bask_data.core.visibility.completion import Completion
 from bask_data.core.visibility.labelled import LabelledSurface
-from bask_data.core.visibility.sensor import TOLERANCE
-from bask_data.core.visibility.surface import ray_directions, world_rays
-from bask_data.core.visibility.visible import visible_instances
+from bask_data.core.visibility.sensor import MASK_TOLERANCE
+from bask_data.core.visibility.surface import ray_directions, rays_of
+from bask_data.core.visibility.visible import MeasuredFrame, visible_instances
 from tests.scenes import Scene, intrinsics, noisy, orbit, tabletop
 
 HEIGHT, WIDTH = 480, 640
@@ -59,20 +59,17 @@ def both(scene: Scene, cameras: np.ndarray, with_holes: bool) -> tuple[Callable[
         depth = [np.where(hole, np.float32(0), one) for hole, one in zip(holes, depth, strict=True)]
     completion = Completion(mesh.vertices, labels, reach=VOXEL)
     for one, camera in zip(depth, cameras, strict=True):
-        completion.carve(one, K, camera, TOLERANCE)
+        completion.carve(one, K, camera, MASK_TOLERANCE)
     completion.finish()
-    rays = [from_numpy(world_rays(directions, camera)) for camera in cameras]
+    everywhere = np.ones((HEIGHT, WIDTH), bool)
+    rays = [from_numpy(rays_of(directions, camera).through(everywhere)) for camera in cameras]
 
     def ours() -> object:
         return [
             visible_instances(
                 surface,
-                filled(in_range(measured, 0.0, 10.0)),
-                directions,
-                K,
-                camera,
+                MeasuredFrame(filled(in_range(measured, 0.0, 10.0)), directions, K, camera, view.rgb),
                 completion=completion,
-                rgb=view.rgb,
             )
             for measured, view, camera in zip(depth, views, cameras, strict=True)
         ]

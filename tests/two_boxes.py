@@ -6,7 +6,7 @@ import numpy as np
 
 from bask_data.core.visibility.labelled import LabelledSurface
 from bask_data.core.visibility.surface import ray_directions
-from bask_data.core.visibility.visible import VisibleFrame, visible_instances
+from bask_data.core.visibility.visible import MeasuredFrame, VisibleFrame, visible_instances
 from tests.scenes import Box, Plane, Scene, intrinsics, look_at
 
 HEIGHT, WIDTH = 120, 160
@@ -69,8 +69,14 @@ def mesh_of(
     )
 
 
-def look(surface: LabelledSurface, depth: np.ndarray, camera: np.ndarray = CAMERA, **more: object) -> VisibleFrame:
-    return visible_instances(surface, depth, DIRECTIONS, K, camera, TOLERANCE, **more)
+def look(
+    surface: LabelledSurface,
+    depth: np.ndarray,
+    camera: np.ndarray = CAMERA,
+    rgb: np.ndarray | None = None,
+    **more: object,
+) -> VisibleFrame:
+    return visible_instances(surface, MeasuredFrame(depth, DIRECTIONS, K, camera, rgb), TOLERANCE, **more)
 
 
 NOT_MEASURED = np.zeros((HEIGHT, WIDTH), np.float32)

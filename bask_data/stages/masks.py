@@ -59,7 +59,7 @@ def masks(scan: Scan, reconstruction: Reconstruction, objects: ObjectInstances, 
     from bask_data.core.visibility.completion import Completion
     from bask_data.core.visibility.labelled import LabelledSurface
     from bask_data.core.visibility.surface import ray_directions
-    from bask_data.core.visibility.visible import visible_instances
+    from bask_data.core.visibility.visible import MeasuredFrame, visible_instances
 
     if len(objects.vertex_instance) != len(reconstruction.vertices):
         raise BadData(
@@ -91,14 +91,16 @@ def masks(scan: Scan, reconstruction: Reconstruction, objects: ObjectInstances, 
             for i_frame in progress(range(camera.n_frames), f"masks of {camera.name}"):
                 frame = visible_instances(
                     surface,
-                    _measured(camera, i_frame, params),
-                    directions,
-                    camera.K,
-                    camera.world_from_cameras[i_frame],
+                    MeasuredFrame(
+                        _measured(camera, i_frame, params),
+                        directions,
+                        camera.K,
+                        camera.world_from_cameras[i_frame],
+                        camera.rgb(i_frame) if params.use_colour else None,
+                    ),
                     writer.tolerance[camera.name],
                     fixed[camera.name],
                     completion,
-                    camera.rgb(i_frame) if params.use_colour else None,
                 )
                 stream.append(frame.instance, frame.visible_fraction, frame.measured)
                 for reason, n_pixels in frame.n_pixels.items():

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Int, UInt8
+from jaxtyping import Bool, Float32, UInt8
 from numpy import ndarray
+
+from bask_data.core.compiled import compiled
 
 EDGE_REACH = 2
 """Pixels by which the silhouette of the mesh may miss that of the object; about a voxel."""
@@ -15,6 +16,15 @@ EDGE_REACH = 2
 VOTE_RADII = (2, 4)
 """Pixels around one without measurement in which measured ones speak for it; the wider window where the first is
 silent. Farther off, a shiny face that is wrongly measured in one place would lose all that was not measured."""
+
+
+STEPS_NEARBY = np.array(
+    sorted(
+        ((dv, du) for dv in range(-EDGE_REACH, EDGE_REACH + 1) for du in range(-EDGE_REACH, EDGE_REACH + 1)),
+        key=lambda step: step[0] ** 2 + step[1] ** 2,
+    )[1:]
+)
+"""(24, 2) steps along v and u to the pixels within `EDGE_REACH`, nearest first."""
 
 
 @dataclass(frozen=True)
@@ -56,70 +66,106 @@ def decided(
         rendered: z-depth of that hit, metres; infinity for none.
         region: pixels a ray was cast for. Outside nothing is known, and nothing changed.
     """
-    measured = (depth > 0) & region
-    allowed = np.float32(tolerance[0]) + np.float32(tolerance[1]) * depth
-    with np.errstate(invalid="ignore"):
-        agrees = measured & (np.abs(depth - rendered) <= allowed)
-    label = ray_label.copy()
-    v, u = np.nonzero(measured & ~agrees)
-    doubtful = (v, u)
-    corrected, found = _label_nearby(ray_label, rendered, depth, allowed, doubtful)
-    label[doubtful] = corrected
-    agrees[doubtful] = found
-    # A measurement where the mesh has a hole speaks for nothing: the background beside an object is no obstacle
-    # before it.
-    contradicts = measured & ~agrees & np.isfinite(rendered)
-    silent = region & (depth <= 0) & (ray_label > 0)
-    hidden = silent & _outvoted(agrees, contradicts, silent)
-    label[hidden] = 0
-    on_object = ray_label > 0
-    in_front = contradicts & (depth < rendered)
+    label, agrees, in_front, silent, vote, counts = _by_measurement(
+        ray_label, rendered, depth, region, np.float32(tolerance[0]), np.float32(tolerance[1]), STEPS_NEARBY
+    )
+    n_agreeing, n_in_front, n_behind, n_silent, n_contradicting = counts.tolist()
+    n_hidden = int(_hide_outvoted(vote, silent, label, VOTE_RADII)) if n_silent and n_contradicting else 0
     n_pixels = {
-        "measured_and_agreeing": int(np.count_nonzero(agrees & on_object)),
-        "measured_in_front": int(np.count_nonzero(in_front & on_object)),
-        "measured_behind": int(np.count_nonzero(contradicts & ~in_front & on_object)),
-        "not_measured_and_kept": int(np.count_nonzero(silent & ~hidden)),
-        "not_measured_and_hidden": int(np.count_nonzero(hidden)),
+        "measured_and_agreeing": n_agreeing,
+        "measured_in_front": n_in_front,
+        "measured_behind": n_behind,
+        "not_measured_and_kept": n_silent - n_hidden,
+        "not_measured_and_hidden": n_hidden,
     }
     return Decision(label, ~silent, agrees, in_front, n_pixels)
 
 
-def _label_nearby(
-    ray_label: UInt8[ndarray, "h w"],
-    rendered: Float32[ndarray, "h w"],
-    depth: Float32[ndarray, "h w"],
-    allowed: Float32[ndarray, "h w"],
-    doubtful: tuple[Int[ndarray, "n"], Int[ndarray, "n"]],
-) -> tuple[UInt8[ndarray, "n"], Bool[ndarray, "n"]]:
-    """Label of the nearest pixel around whose rendered depth agrees with the one measured here; (0, False) where none
-    does."""
+@compiled
+def _by_measurement(  # type: ignore[no-untyped-def]
+    ray_label, rendered, depth, region, constant, per_metre, steps
+):
+    """All that is decided pixel by pixel, in one pass over the image: label, agrees, in front, silent (h, w); the vote
+    of each pixel (h, w), 1 where the measurement lies on the mesh, -1 where it contradicts it; and how many objects'
+    pixels agree, are measured in front, behind, or not at all, and how many pixels contradict.
+
+    Args:
+        steps: (n, 2) pixels along v and u to where a measurement off the mesh is looked for, nearest first.
+    """
     height, width = depth.shape
-    v, u = doubtful
-    here, slack = depth[v, u], allowed[v, u]
-    corrected, found = np.zeros(len(v), np.uint8), np.zeros(len(v), bool)
-    steps = [(dv, du) for dv in range(-EDGE_REACH, EDGE_REACH + 1) for du in range(-EDGE_REACH, EDGE_REACH + 1)]
-    for dv, du in sorted(steps, key=lambda step: step[0] ** 2 + step[1] ** 2)[1:]:
-        v_near, u_near = np.clip(v + dv, 0, height - 1), np.clip(u + du, 0, width - 1)
-        match = ~found & (np.abs(rendered[v_near, u_near] - here) <= slack)
-        corrected[match] = ray_label[v_near[match], u_near[match]]
-        found |= match
-    return corrected, found
+    label = ray_label.copy()
+    agrees, in_front = np.zeros((height, width), np.bool_), np.zeros((height, width), np.bool_)
+    silent, vote = np.zeros((height, width), np.bool_), np.zeros((height, width), np.int8)
+    counts = np.zeros(5, np.int64)
+    for v in range(height):
+        for u in range(width):
+            if not region[v, u]:
+                continue
+            z, surface, own = depth[v, u], rendered[v, u], ray_label[v, u]
+            if not z > 0:
+                if own > 0:
+                    silent[v, u] = True
+                    counts[3] += 1
+                continue
+            allowed = constant + per_metre * z
+            on_mesh = abs(z - surface) <= allowed
+            if not on_mesh:
+                label[v, u] = 0
+                for k in range(len(steps)):
+                    v_near = min(max(v + steps[k, 0], 0), height - 1)
+                    u_near = min(max(u + steps[k, 1], 0), width - 1)
+                    if abs(rendered[v_near, u_near] - z) <= allowed:
+                        label[v, u] = ray_label[v_near, u_near]
+                        on_mesh = True
+                        break
+            if on_mesh:
+                agrees[v, u] = True
+                vote[v, u] = 1
+                counts[0] += own > 0
+            elif np.isfinite(surface):
+                # A measurement where the mesh has a hole speaks for nothing: the background beside an object is no
+                # obstacle before it.
+                vote[v, u] = -1
+                counts[4] += 1
+                in_front[v, u] = z < surface
+                if own > 0:
+                    counts[1 if z < surface else 2] += 1
+    return label, agrees, in_front, silent, vote, counts
 
 
-def _outvoted(
-    agrees: Bool[ndarray, "h w"], contradicts: Bool[ndarray, "h w"], silent: Bool[ndarray, "h w"]
-) -> Bool[ndarray, "h w"]:
-    """Silent pixels among measured ones most of which contradict the mesh."""
-    outvoted = np.zeros(agrees.shape, bool)
-    if not contradicts.any():
-        return outvoted
-    balance = agrees.astype(np.float32) - contradicts
-    spoken = (agrees | contradicts).astype(np.float32)
-    undecided = silent.copy()
-    for radius in VOTE_RADII:
-        window = (2 * radius + 1, 2 * radius + 1)
-        heard = undecided & (cv2.boxFilter(spoken, -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT) > 0.5)
-        votes = cv2.boxFilter(balance, -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
-        outvoted |= heard & (votes < -0.5)
-        undecided &= ~heard
-    return outvoted
+@compiled
+def _hide_outvoted(vote, silent, label, radii):  # type: ignore[no-untyped-def]
+    """Take the label from silent pixels among measured ones most of which contradict the mesh, and count these pixels.
+
+    Sums over a window slide along rows and columns, so that a large window costs no more than a small one.
+    """
+    height, width = vote.shape
+    undecided, n_hidden = silent.copy(), 0
+    for radius in radii:
+        balance, n_spoken = np.zeros(width, np.int32), np.zeros(width, np.int32)
+        for v in range(-radius, height):
+            below, above = v + radius, v - radius - 1
+            if below < height:
+                for u in range(width):
+                    balance[u] += vote[below, u]
+                    n_spoken[u] += abs(vote[below, u])
+            if above >= 0:
+                for u in range(width):
+                    balance[u] -= vote[above, u]
+                    n_spoken[u] -= abs(vote[above, u])
+            if v < 0:
+                continue
+            votes, n_heard = 0, 0
+            for u in range(-radius, width):
+                if u + radius < width:
+                    votes += balance[u + radius]
+                    n_heard += n_spoken[u + radius]
+                if u > radius:
+                    votes -= balance[u - radius - 1]
+                    n_heard -= n_spoken[u - radius - 1]
+                if u >= 0 and undecided[v, u] and n_heard > 0:
+                    undecided[v, u] = False
+                    if votes < 0:
+                        label[v, u] = 0
+                        n_hidden += 1
+    return n_hidden

@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray
 
 from bask_data.core.visibility.labelled import LabelledSurface
-from bask_data.core.visibility.sensor import TOLERANCE
-from bask_data.core.visibility.surface import world_rays
+from bask_data.core.visibility.sensor import MASK_TOLERANCE
+from bask_data.core.visibility.surface import rays_of
 
 N_CONFIRMING_RAYS = 40_000
 """Rays cast per frame in the search for what is fixed to the camera; every pixel would cost as much as the masks."""
@@ -29,14 +29,14 @@ def confirmed(
     depth: Float32[ndarray, "h w"],
     directions_camera: Float32[ndarray, "h w 3"],
     world_from_camera: Float[ndarray, "4 4"],
-    tolerance: tuple[float, float] = TOLERANCE,
+    tolerance: tuple[float, float] = MASK_TOLERANCE,
 ) -> Bool[ndarray, "h w"]:
     """Pixels whose measurement lies on the mesh, among an even selection of those that have one."""
     where = np.flatnonzero(depth)
     where = where[:: max(1, len(where) // N_CONFIRMING_RAYS)]
     seen = np.zeros(depth.shape, bool)
     if len(where):
-        rendered, _ = surface.cast(world_rays(directions_camera, world_from_camera).reshape(-1, 6)[where])
+        rendered, _ = surface.cast(rays_of(directions_camera, world_from_camera).at(where))
         here = depth.reshape(-1)[where]
         seen.reshape(-1)[where] = np.abs(rendered - here) <= tolerance[0] + tolerance[1] * here
     return seen

@@ -47,19 +47,23 @@ def foreign(
     nothing = np.zeros(silent.shape, bool)
     if not (silent & (i_vertex != NO_VERTEX)).any():
         return nothing
-    v, u = np.nonzero(agrees & (i_vertex != NO_VERTEX))
-    if len(v) < N_COLOUR_SAMPLES_LEAST:
+    where = np.flatnonzero(agrees & (i_vertex != NO_VERTEX))
+    if len(where) < N_COLOUR_SAMPLES_LEAST:
         return nothing
-    step = max(1, len(v) // N_COLOUR_SAMPLES)
-    v, u = v[::step], u[::step]
-    expected, seen = colors[i_vertex[v, u]].astype(np.float32), rgb[v, u].astype(np.float32)
+    where = where[:: max(1, len(where) // N_COLOUR_SAMPLES)]
+    expected = colors[i_vertex.reshape(-1)[where]].astype(np.float32)
+    seen = rgb.reshape(-1, 3)[where].astype(np.float32)
     gain = np.median(seen, axis=0) / np.maximum(np.median(expected, axis=0), 1)
     usual = float(np.median(np.abs(seen - gain * expected).max(axis=1)))
     off = _colour_off(rgb, colors, i_vertex, silent & region, gain.astype(np.float32))
+    limit = max(COLOUR_OFF * usual, LEAST_COLOUR_OFF)
+    # The filters over the whole image, which most frames do not need, take longer than to find out.
+    if not _may_be_strange(off, silent, np.float32(0.99 * limit)):
+        return nothing
     # One pixel says little: texture is a voxel wide on the mesh. A window's mean does.
     n_around = cv2.boxFilter((off > 0).astype(np.float32), -1, (5, 5), normalize=False)
     mean_off = cv2.boxFilter(off, -1, (5, 5), normalize=False) / np.maximum(n_around, 1)
-    strange = silent & region & (mean_off > max(COLOUR_OFF * usual, LEAST_COLOUR_OFF))
+    strange = silent & region & (mean_off > limit)
     if not strange.any():
         return nothing
     _, component = cv2.connectedComponents((strange | in_front).astype(np.uint8), connectivity=8)
@@ -84,3 +88,30 @@ def _colour_off(rgb, colors, i_vertex, asked, gain):  # type: ignore[no-untyped-
                 for channel in range(3):
                     off[v, u] = max(off[v, u], abs(rgb[v, u, channel] - gain[channel] * colors[i, channel]))
     return off
+
+
+@compiled
+def _may_be_strange(off, silent, limit):  # type: ignore[no-untyped-def]
+    """Whether the mean of `off` over its non-zero pixels in any silent pixel's window (5 x 5, reflected at the border)
+    exceeds a limit. Only the surroundings of pixels that exceed it themselves are looked at."""
+    height, width = off.shape
+    looked = np.zeros((height, width), np.bool_)
+    for v in range(height):
+        for u in range(width):
+            if off[v, u] <= limit:
+                continue
+            for v_near in range(max(v - 2, 0), min(v + 3, height)):
+                for u_near in range(max(u - 2, 0), min(u + 3, width)):
+                    if looked[v_near, u_near] or not silent[v_near, u_near]:
+                        continue
+                    looked[v_near, u_near] = True
+                    total, n_around = 0.0, 0
+                    for dv in range(-2, 3):
+                        for du in range(-2, 3):
+                            row, column = abs(v_near + dv), abs(u_near + du)
+                            row, column = min(row, 2 * height - 2 - row), min(column, 2 * width - 2 - column)
+                            total += off[row, column]
+                            n_around += off[row, column] > 0
+                    if total > limit * n_around:
+                        return True
+    return False

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from jaxtyping import Float, Float32, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Int32, UInt8
+from numba import njit
 from numpy import ndarray
 from scipy.spatial import ConvexHull, QhullError
 
+from bask_data.core.compiled import compiled
 from bask_data.core.geometry import invert_rigid, project, transform
 from bask_data.core.visibility.decision import EDGE_REACH
 from bask_data.core.visibility.surface import Hits, Surface
@@ -24,6 +28,21 @@ NO_VERTEX = np.int32(-1)
 
 MIXED = np.uint16(1000)
 """Stands for the label of a triangle whose corners differ."""
+
+
+@dataclass(frozen=True)
+class LabelledImage:
+    """What the rays through an image's pixels meet first.
+
+    Args:
+        depth: z-depth, metres; infinity for nothing.
+        instance: instance there; 0 for background and for nothing.
+        i_vertex: a vertex of the triangle hit; `NO_VERTEX` for nothing.
+    """
+
+    depth: Float32[ndarray, "h w"]
+    instance: UInt8[ndarray, "h w"]
+    i_vertex: Int32[ndarray, "h w"]
 
 
 class LabelledSurface:
@@ -77,35 +96,37 @@ class LabelledSurface:
         hits = self._surface.cast(rays)
         return hits.distance, self._label_of(hits)
 
-    def cast_to_vertices(
-        self, rays: Float32[ndarray, "n 6"]
-    ) -> tuple[Float32[ndarray, "n"], UInt8[ndarray, "n"], Int32[ndarray, "n"]]:
-        """As `cast`, and a vertex of the triangle hit; `NO_VERTEX` for none."""
+    def image(self, rays: Float32[ndarray, "n 6"], region: Bool[ndarray, "h w"]) -> LabelledImage:
+        """What rays show, as an image.
+
+        Args:
+            rays: of the pixels of `region`, row by row.
+        """
         hits = self._surface.cast(rays)
-        i_triangle = hits.triangle
-        some = i_triangle < len(self._triangles)
-        i_vertex = np.where(some, self._triangles[np.where(some, i_triangle, 0), 0], NO_VERTEX)
-        return hits.distance, self._label_of(hits), i_vertex
+        return LabelledImage(
+            *_image(
+                region,
+                hits.distance,
+                hits.triangle,
+                hits.corner_weights,
+                self._triangle_label,
+                self._corner_label,
+                self._triangles,
+            )
+        )
 
     def _label_of(self, hits: Hits) -> UInt8[ndarray, "n"]:
-        # What misses has the largest index there is; it becomes the one after the last triangle, which is background.
-        i_triangle = np.minimum(hits.triangle, np.uint32(len(self._corner_label)))
-        label = self._triangle_label[i_triangle]
-        mixed = np.flatnonzero(label == MIXED)
-        corners = self._corner_label[i_triangle[mixed]]
-        second_third = hits.corner_weights[mixed]
-        weights = np.column_stack([1 - second_third.sum(axis=1), second_third])
-        label[mixed] = corners[np.arange(len(mixed)), weights.argmax(axis=1)]
-        return label.astype(np.uint8)
+        labels: UInt8[ndarray, "n"] = _labels(
+            hits.triangle, hits.corner_weights, self._triangle_label, self._corner_label
+        )
+        return labels
 
-    def n_meeting(self, instance: int, rays: Float32[ndarray, "n 6"]) -> float:
-        """Number of rays that would hit an instance if there were nothing else; of very many, estimated by some."""
+    def share_meeting(self, instance: int, rays: Float32[ndarray, "n 6"]) -> float:
+        """Share of rays that would hit an instance if there were nothing else; 0 without rays."""
         alone = self._alone[instance - 1]
-        step = max(1, -(-len(rays) // N_AMODAL_RAYS))
         if alone is None or len(rays) == 0:
             return 0.0
-        some = np.ascontiguousarray(rays[::step])
-        return float(alone.meets(some).mean() * len(rays))
+        return float(alone.meets(rays).mean())
 
     def box(
         self,
@@ -126,6 +147,51 @@ class LabelledSurface:
         rows = slice(int(np.clip(top, 0, height)), int(np.clip(bottom, 0, height)))
         columns = slice(int(np.clip(left, 0, width)), int(np.clip(right, 0, width)))
         return rows, columns
+
+
+@njit(inline="always")
+def _label_at(i_triangle, second, third, triangle_label, corner_label):  # type: ignore[no-untyped-def]
+    """The label of a triangle, or where its corners differ that of the nearest, the first of equally near ones."""
+    label = triangle_label[i_triangle]
+    if label == MIXED:
+        first = np.float32(1) - (second + third)
+        label = corner_label[i_triangle, 0]
+        if second > first or third > first:
+            label = corner_label[i_triangle, 2] if third > second else corner_label[i_triangle, 1]
+    return np.uint8(label)
+
+
+@compiled
+def _labels(triangle, corner_weights, triangle_label, corner_label):  # type: ignore[no-untyped-def]
+    """The label of each hit (n,)."""
+    label = np.empty(len(triangle), np.uint8)
+    for i in range(len(triangle)):
+        # What misses has the largest index there is; it becomes the one after the last triangle, which is background.
+        hit = min(np.int64(triangle[i]), len(corner_label))
+        label[i] = _label_at(hit, corner_weights[i, 0], corner_weights[i, 1], triangle_label, corner_label)
+    return label
+
+
+@compiled
+def _image(  # type: ignore[no-untyped-def]
+    region, distance, triangle, corner_weights, triangle_label, corner_label, corners
+):
+    """Depth, label and vertex (h, w) of the hits of a region's rays, in one pass."""
+    height, width = region.shape
+    depth, label = np.empty((height, width), np.float32), np.empty((height, width), np.uint8)
+    i_vertex = np.empty((height, width), np.int32)
+    n_triangles, i = len(corner_label), 0
+    for v in range(height):
+        for u in range(width):
+            depth[v, u], label[v, u], i_vertex[v, u] = np.inf, 0, NO_VERTEX
+            if not region[v, u]:
+                continue
+            hit = np.int64(triangle[i])
+            if hit < n_triangles:
+                depth[v, u], i_vertex[v, u] = distance[i], corners[hit, 0]
+                label[v, u] = _label_at(hit, corner_weights[i, 0], corner_weights[i, 1], triangle_label, corner_label)
+            i += 1
+    return depth, label, i_vertex
 
 
 def _majority(corner_label: UInt8[ndarray, "m 3"]) -> UInt8[ndarray, "m"]:

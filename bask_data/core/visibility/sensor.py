@@ -9,9 +9,9 @@ from scipy.optimize import nnls
 
 from bask_data.core.depth import SIGMA_FROM_MAD
 from bask_data.core.visibility.labelled import LabelledSurface
-from bask_data.core.visibility.surface import world_rays
+from bask_data.core.visibility.surface import rays_of
 
-TOLERANCE = (0.01, 0.02)
+MASK_TOLERANCE = (0.01, 0.02)
 """Measurement and mesh agree within a + b z metres. On analytic scenes with 1 to 5 mm of noise masks are the same for
 anything from 5 mm to 4 cm; sparse sensors and their poses need two to three centimetres at half a metre."""
 
@@ -40,7 +40,7 @@ def residuals(
     where = where[:: max(1, len(where) // n_rays)]
     if len(where) == 0:
         return np.zeros((0, 2), np.float32)
-    rendered, _ = surface.cast(world_rays(directions_camera, world_from_camera).reshape(-1, 6)[where])
+    rendered, _ = surface.cast(rays_of(directions_camera, world_from_camera).at(where))
     met = np.isfinite(rendered)
     here = depth.reshape(-1)[where][met]
     return np.stack([here, here - rendered[met]], axis=1)
@@ -73,12 +73,12 @@ def noise(samples: Float32[ndarray, "n 2"], n_bins: int = 8) -> tuple[float, flo
 
 
 def tolerance_of(deviation: tuple[float, float] | None, voxel_size: float) -> tuple[float, float]:
-    """(a, b) of the tolerance that goes with a sensor's noise; `TOLERANCE` where that is unknown.
+    """(a, b) of the tolerance that goes with a sensor's noise; `MASK_TOLERANCE` where that is unknown.
 
     Args:
         voxel_size: metres; at thin walls the mesh is off by some voxels, however good the sensor.
     """
     if deviation is None:
-        return TOLERANCE
+        return MASK_TOLERANCE
     a, b = (N_SIGMA * one for one in deviation)
     return min(max(a, MESH_ERROR * voxel_size), MOST_TOLERANCE[0]), min(b, MOST_TOLERANCE[1])

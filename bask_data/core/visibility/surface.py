@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -10,6 +11,7 @@ import open3d as o3d
 from jaxtyping import Bool, Float, Float32, Int, UInt32
 from numpy import ndarray
 
+from bask_data.core.compiled import compiled
 from bask_data.core.geometry import pixel_grid, unproject
 
 
@@ -66,12 +68,48 @@ def ray_directions(K: Float[ndarray, "3 3"], height: int, width: int) -> Float32
     return unproject(grid, np.ones((height, width)), K).astype(np.float32)
 
 
-def world_rays(
-    directions_camera: Float32[ndarray, "h w 3"], world_from_camera: Float[ndarray, "4 4"]
-) -> Float32[ndarray, "h w 6"]:
-    """Origin and direction of the ray through each pixel, world frame."""
-    rays = np.empty((*directions_camera.shape[:2], 6), np.float32)
-    rays[..., :3] = world_from_camera[:3, 3]
+@dataclass(frozen=True)
+class Rays:
+    """The rays through a camera's pixels, world frame; their parameter is the z-depth.
+
+    Args:
+        origin: the camera's centre, metres.
+        directions: of each pixel's ray.
+    """
+
+    origin: Float32[ndarray, "3"]
+    directions: Float32[ndarray, "h w 3"]
+
+    def through(self, chosen: Bool[ndarray, "h w"]) -> Float32[ndarray, "n 6"]:
+        """Origin and direction of the rays through the chosen pixels, row by row."""
+        rays: Float32[ndarray, "n 6"] = _through(self.origin, self.directions, chosen, np.count_nonzero(chosen))
+        return rays
+
+    def at(self, i_pixels: Int[ndarray, "n"]) -> Float32[ndarray, "n 6"]:
+        """Origin and direction of the rays through pixels given by their flat index."""
+        rays = np.empty((len(i_pixels), 6), np.float32)
+        rays[:, :3], rays[:, 3:] = self.origin, self.directions.reshape(-1, 3)[i_pixels]
+        return rays
+
+
+def rays_of(directions_camera: Float32[ndarray, "h w 3"], world_from_camera: Float[ndarray, "4 4"]) -> Rays:
+    """The rays of a camera at a pose.
+
+    Args:
+        directions_camera: `ray_directions` of the camera.
+    """
     # A matrix product with three columns takes NumPy ten times as long.
-    rays[..., 3:] = cv2.transform(directions_camera, world_from_camera[:3, :3].astype(np.float32))
+    directions = cv2.transform(directions_camera, world_from_camera[:3, :3].astype(np.float32))
+    return Rays(world_from_camera[:3, 3].astype(np.float32), directions)
+
+
+@compiled
+def _through(origin, directions, chosen, n_chosen):  # type: ignore[no-untyped-def]
+    rays, i = np.empty((n_chosen, 6), np.float32), 0
+    for v in range(chosen.shape[0]):
+        for u in range(chosen.shape[1]):
+            if chosen[v, u]:
+                for axis in range(3):
+                    rays[i, axis], rays[i, 3 + axis] = origin[axis], directions[v, u, axis]
+                i += 1
     return rays

@@ -7,8 +7,8 @@ import pytest
 
 from bask_data.core.visibility.completion import Completion
 from bask_data.core.visibility.labelled import LabelledSurface
-from bask_data.core.visibility.surface import ray_directions, world_rays
-from bask_data.core.visibility.visible import visible_instances
+from bask_data.core.visibility.surface import ray_directions, rays_of
+from bask_data.core.visibility.visible import MeasuredFrame, visible_instances
 from tests.meshes import block, joined, sheet
 from tests.scenes import Box, Plane, Scene, View, intrinsics, look_at, orbit
 
@@ -82,8 +82,8 @@ def test_a_hole_nothing_was_measured_through_is_filled_and_marked() -> None:
     completion = carved(vertices, labels, depths, CAMERAS)
     view = SOLID.render(K, CAMERA, HEIGHT, WIDTH)
     depth = np.where(view.instance > 0, np.float32(0), view.depth)
-    bare = visible_instances(surface, depth, DIRECTIONS, K, CAMERA, TOLERANCE)
-    full = visible_instances(surface, depth, DIRECTIONS, K, CAMERA, TOLERANCE, completion=completion)
+    bare = visible_instances(surface, MeasuredFrame(depth, DIRECTIONS, K, CAMERA), TOLERANCE)
+    full = visible_instances(surface, MeasuredFrame(depth, DIRECTIONS, K, CAMERA), TOLERANCE, completion=completion)
     assert (bare.instance[view.instance == 1] == 0).mean() > 0.05, "the mesh has a hole"
     assert (full.instance[view.instance == 1] == 1).mean() > 0.995
     assert np.array_equal(full.instance[view.instance == 0], bare.instance[view.instance == 0])
@@ -97,10 +97,7 @@ def test_depth_measured_in_a_hole_of_the_mesh_is_the_objects() -> None:
     view = SOLID.render(K, CAMERA, HEIGHT, WIDTH)
     frame = visible_instances(
         LabelledSurface(vertices, triangles, labels, 1),
-        view.depth,
-        DIRECTIONS,
-        K,
-        CAMERA,
+        MeasuredFrame(view.depth, DIRECTIONS, K, CAMERA),
         TOLERANCE,
         completion=completion,
     )
@@ -117,8 +114,8 @@ def test_the_hole_of_a_handle_stays_open_where_the_table_was_measured_through_it
     surface = LabelledSurface(vertices, triangles, labels, 1)
     view = FRAME.render(K, CAMERA, HEIGHT, WIDTH)
     depth = view.depth if measured_here else np.zeros_like(view.depth)
-    bare = visible_instances(surface, depth, DIRECTIONS, K, CAMERA, TOLERANCE)
-    full = visible_instances(surface, depth, DIRECTIONS, K, CAMERA, TOLERANCE, completion=completion)
+    bare = visible_instances(surface, MeasuredFrame(depth, DIRECTIONS, K, CAMERA), TOLERANCE)
+    full = visible_instances(surface, MeasuredFrame(depth, DIRECTIONS, K, CAMERA), TOLERANCE, completion=completion)
     changed = bare.instance != full.instance
     # Within the tolerance of bars and table nothing tells air from surface: a rim may be filled without measurement.
     middle = Scene((at(0.0, 0.0, 0.055, (0.028, 0.001, 0.03)),), ()).render(K, CAMERA, HEIGHT, WIDTH).instance > 0
@@ -131,7 +128,7 @@ def test_the_hole_of_a_handle_stays_open_where_the_table_was_measured_through_it
 def test_what_no_frame_looked_through_is_solid() -> None:
     vertices, _, labels = handle()
     completion = carved(vertices, labels, [], CAMERAS[:0])
-    rays = world_rays(DIRECTIONS, CAMERA).reshape(-1, 6)
+    rays = rays_of(DIRECTIONS, CAMERA).through(np.ones((HEIGHT, WIDTH), bool))
     z, label = completion.hit(rays)
     hull = Scene((at(0.0, 0.0, 0.06, (0.06, 0.015, 0.06)),), ()).render(K, CAMERA, HEIGHT, WIDTH)
     expected = hull.instance.reshape(-1)

@@ -8,7 +8,7 @@ from bask_data.core.depth import cleaned
 from bask_data.core.tsdf import Volume
 from bask_data.core.visibility.labelled import LabelledSurface
 from bask_data.core.visibility.surface import ray_directions
-from bask_data.core.visibility.visible import visible_instances
+from bask_data.core.visibility.visible import MeasuredFrame, visible_instances
 from tests.scenes import Box, Scene, Sphere, intrinsics, look_at, noisy, orbit, tabletop
 from tests.two_boxes import (
     BACK,
@@ -156,8 +156,8 @@ def test_a_pinhole_of_half_a_pixel_more_would_show() -> None:
     view = SCENE.render(K, CAMERA, HEIGHT, WIDTH)
     shifted = ray_directions(K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]), HEIGHT, WIDTH)
     surface = mesh_of((FRONT, BACK), [1, 2])
-    wrong = visible_instances(surface, NOT_MEASURED, shifted, K, CAMERA, TOLERANCE)
-    right = visible_instances(surface, NOT_MEASURED, DIRECTIONS, K, CAMERA, TOLERANCE)
+    wrong = visible_instances(surface, MeasuredFrame(NOT_MEASURED, shifted, K, CAMERA), TOLERANCE)
+    right = visible_instances(surface, MeasuredFrame(NOT_MEASURED, DIRECTIONS, K, CAMERA), TOLERANCE)
     assert (right.instance != view.instance).sum() <= 2 < 50 < (wrong.instance != view.instance).sum()
 
 
@@ -190,7 +190,7 @@ def test_fused_scene_with_noise_gives_masks_close_to_the_truth() -> None:
     directions = ray_directions(K_fine, 240, 320)
     both, either = np.zeros(scene.n_objects), np.zeros(scene.n_objects)
     for view, depth, camera in zip(views, depths, cameras, strict=True):
-        found = visible_instances(surface, depth, directions, K_fine, camera).instance
+        found = visible_instances(surface, MeasuredFrame(depth, directions, K_fine, camera)).instance
         for label in range(1, scene.n_objects + 1):
             both[label - 1] += ((found == label) & (view.instance == label)).sum()
             either[label - 1] += ((found == label) | (view.instance == label)).sum()
