@@ -42,12 +42,13 @@ LAYERS = {
     "torch": "PyTorch datasets for users",
     "notebook": "datasets as users open them in Python",
     "report": "the HTML page",
-    "view": "the Rerun viewer, videos",
-    "picker": "the page for picking keypoints",
-    "drawing": "pictures of artifacts",
+    "view": "Rerun, videos",
+    "picker": "the picking page",
+    "pipeline": "the whole pipeline",
+    "drawing": "pictures",
     "evaluation": "numbers against ground truth",
     "export": "files for policy learning",
-    "stages": "open inputs, call core or nn, write an artifact",
+    "stages": "one verb each: open inputs, call core or nn, write",
     "sources": "recordings in",
     "engine": "declare, plan, make and publish",
     "tracker": "keypoints on a robot",
@@ -68,7 +69,7 @@ SUBJECTS = {
     "03": "Scenes, masks and matches",
     "04": "Networks",
     "05": "Simulator and measurements",
-    "06": "Pages in a browser",
+    "06": "Reports, views and the picking page",
 }
 """The first two digits of a decision's number say what it is about."""
 
@@ -166,10 +167,12 @@ def page_of(name: str) -> str:
     return f"reference/{name}.md"
 
 
-def navigation_of(name: str) -> str | dict[str, list[str]]:
+def navigation_of(name: str) -> dict[str, Any]:
     """A module's page, or the section of a package."""
-    pages = [page_of(each) for each in modules(name)]
-    return pages[0] if len(pages) == 1 else {name: pages}
+    inner = modules(name)[1:]
+    if not inner:
+        return {name: page_of(name)}
+    return {name: [page_of(name), *({each.partition(".")[2]: page_of(each)} for each in inner)]}
 
 
 def module_page(name: str) -> str:
@@ -185,7 +188,7 @@ def module_page(name: str) -> str:
 def first_sentence(name: str) -> str:
     """What a module is, by its docstring."""
     text = ast.get_docstring(ast.parse(path_of(name).read_text(encoding="utf-8"))) or ""
-    return re.sub(r"([*_<\[\]])", r"\\\1", " ".join(text.split("\n\n")[0].split()))
+    return re.sub(r"([<\[\]])", r"\\\1", " ".join(text.split("\n\n")[0].split()))
 
 
 # The drawing of the layers --------------------------------------------------------------------------------------------
@@ -202,16 +205,16 @@ def layers_drawing() -> str:
     [layers] = [each["layers"] for each in project["tool"]["importlinter"]["contracts"] if each["id"] == "layers"]
     height = 34 * len(layers) + 16
     lines = [
-        f'<div class="drawing"><svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 860 {height}" role="img">',
+        f'<div class="drawing"><svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1000 {height}" role="img">',
         f'<title>The layers</title><path class="down" d="M14 12V{height - 12}m-5 -8l5 8l5 -8"/>',
     ]
     for i, layer in enumerate(layers):
         names = re.findall(r"\w+", layer)
         said = "; ".join(LAYERS[name] for name in names if name in LAYERS)
         y = 8 + 34 * i
-        lines.append(f'<rect x="30" y="{y}" width="350" height="28" rx="3"/>')
-        lines.append(f'<text class="name" x="205" y="{y + 19}" text-anchor="middle">{" · ".join(names)}</text>')
-        lines.append(f'<text x="394" y="{y + 19}">{said}</text>')
+        lines.append(f'<rect x="30" y="{y}" width="430" height="28" rx="3"/>')
+        lines.append(f'<text class="name" x="245" y="{y + 19}" text-anchor="middle">{" · ".join(names)}</text>')
+        lines.append(f'<text x="476" y="{y + 19}">{said}</text>')
     return "".join([*lines, "</svg></div>"])
 
 
@@ -238,8 +241,13 @@ def command_line_page() -> str:
     os.environ["COLUMNS"] = "86"  # what the page has room for
     group: Any = typer.main.get_command(app)
     context = typer.Context(group, info_name="bask-data")
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = "86"  # what the page has room for
+    try:
+        helps = [(path, text.rstrip()) for path, text in [((), group.get_help(context)), *commands(group, context)]]
+    finally:
+        os.environ.pop("COLUMNS") if before is None else os.environ.update(COLUMNS=before)
     lines = ["# Command line", "", "What each command's `--help` prints.", ""]
-    lines += ["```text", group.get_help(context).rstrip(), "```", ""]
-    for path, help_text in commands(group, context):
-        lines += [f"## {' '.join(path)}", "", "```text", help_text.rstrip(), "```", ""]
+    for path, text in helps:
+        lines += [*([f"## {' '.join(path)}", ""] if path else []), "```text", text, "```", ""]
     return "\n".join(lines)

@@ -4,13 +4,13 @@ How to add a filter:
 
 1. Write `core/filters/<name>.py`, or a package of that name where one file is not enough, with
 
-   - its settings, a frozen dataclass that extends `table.FilterSettings`; its defaults are what the filter runs with,
-   - its belief, a frozen dataclass of arrays and tuples of such dataclasses, whose fields may be None: all that the
-     next step needs, so that an interrupted track goes on from it,
-   - its step, `(belief, observations, motion, rng, settings) -> (belief, Estimate)`, a pure function; the belief is
-     None before the first frame, an observation is None where a camera gave no frame,
-   - its hypotheses, `(belief, observations, settings) -> WeightedPoints | PixelMaps`, for the viewer, and
-   - `FILTER = Filter(...)`, which names these and whatever else `table.Filter` asks for.
+    - its settings, a frozen dataclass that extends `table.FilterSettings`; its defaults are what the filter runs with,
+    - its belief, a frozen dataclass of arrays and tuples of such dataclasses, whose fields may be None: all that the
+      next step needs, so that an interrupted track goes on from it,
+    - its step, `(belief, observations, motion, rng, settings) -> (belief, Estimate)`, a pure function; the belief is
+      None before the first frame, an observation is None where a camera gave no frame,
+    - its hypotheses, `(belief, observations, settings) -> WeightedPoints | PixelMaps`, for the viewer, and
+    - `FILTER = Filter(...)`, which names these and whatever else `table.Filter` asks for.
 
 2. Add an entry to `FILTERS` in `core/filters/table.py`: the name, the module, and what `encode --help` says of it.
 
