@@ -1,1 +1,1 @@
-"""Pictures of artifacts as arrays and SVG, for the report, the viewer, videos and the documentation alike."""
+"""Pictures of artifacts as arrays and SVG, for the report, the viewer, videos and the documentation."""

@@ -1,4 +1,4 @@
-"""Keypoints of a track as marks on a frame: for the report's pictures and for videos."""
+"""Keypoints of a track as marks on frames, for the report's pictures and for videos."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from bask_data.drawing.pictures import Colour, Mark
 from bask_data.kinds import Camera, KeypointTrack
 
 N_TRAIL = 15
-"""Frames that a trail goes back."""
+"""Length of a trail, frames."""
 
 
 @dataclass(frozen=True)
 class CameraTrack:
-    """What a track says in the images of one of its cameras.
+    """A track in the images of one of its cameras.
 
     Args:
-        places: (t, k, 3) metres, world: where the keypoints truly are; NaN where not known.
-        pixel: (t, k, 2) of the means.
-        observed: (t, k) whether the filter takes the camera to see them.
+        places: (t, k, 3) ground-truth positions of the keypoints, metres, world frame; NaN where unknown.
+        pixel: (t, k, 2) projected means.
+        observed: (t, k) whether the filter considers them visible to the camera.
     """
 
     track: KeypointTrack
@@ -31,10 +31,10 @@ class CameraTrack:
     observed: np.ndarray
 
     def marks(self, i_frame: int, colours: list[Colour]) -> list[Mark]:
-        """What a frame shows of the track: means, where they were, one-sigma ellipses, true places.
+        """Marks of a frame: means, trails, one-sigma ellipses and ground-truth positions.
 
         Args:
-            colours: of each keypoint.
+            colours: one per keypoint.
         """
         camera, mean, covariance = self.camera, self.track.mean, self.track.covariance[i_frame]
         truth = _pixels(self.places[i_frame], camera, i_frame)
@@ -57,10 +57,10 @@ class CameraTrack:
 
 
 def camera_tracks(track: KeypointTrack, cameras: list[Camera], places: np.ndarray) -> list[CameraTrack]:
-    """The track in each of these cameras that it has pixels of, in the order of the track's own list.
+    """The track in each of these cameras for which it has pixels, in the track's order of cameras.
 
     Args:
-        places: as `CameraTrack` has them.
+        places: as in `CameraTrack`.
     """
     by_name = {camera.name: camera for camera in cameras}
     return [
@@ -71,7 +71,7 @@ def camera_tracks(track: KeypointTrack, cameras: list[Camera], places: np.ndarra
 
 
 def _image_jacobian(points_world: np.ndarray, camera: Camera, i_frame: int) -> np.ndarray:
-    """(k, 2, 3): how pixels move with world points."""
+    """Jacobian (k, 2, 3) of the pixels with respect to the world points, pixels per metre."""
     camera_from_world = invert_rigid(camera.world_from_cameras[i_frame])
     x, y, z = transform(camera_from_world, points_world).T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -80,5 +80,6 @@ def _image_jacobian(points_world: np.ndarray, camera: Camera, i_frame: int) -> n
 
 
 def _pixels(points_world: np.ndarray, camera: Camera, i_frame: int) -> np.ndarray:
+    """Pixels (n, 2) of world points in a frame of the camera."""
     camera_from_world = invert_rigid(camera.world_from_cameras[i_frame])
     return project(transform(camera_from_world, points_world.astype(np.float64)), camera.K)[0]

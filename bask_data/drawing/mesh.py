@@ -12,9 +12,9 @@ from bask_data.core.geometry import invert_rigid, pixel_grid, project, transform
 from bask_data.drawing.pictures import Colour
 
 BACKGROUND = (44, 48, 56)
-"""Where no surface is hit: reads on a light and on a dark page."""
+"""Colour where no surface is hit; legible on light and dark pages."""
 _MOST_LAYERS = 6
-"""Back faces looked through before a ray counts as a miss."""
+"""Back faces that a ray passes through before it counts as a miss."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Viewpoint:
 
 
 class MeshScene:
-    """A mesh ready to be looked at from several sides."""
+    """A mesh prepared for rendering from several viewpoints."""
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
         import open3d as o3d
@@ -48,7 +48,8 @@ class MeshScene:
 
         Args:
             colours: (n, 3) uint8 of the vertices.
-            sharp: colour each point as its nearest corner, for labels, instead of blending.
+            sharp: colour each point like its nearest vertex instead of interpolating, for labels.
+            ambient: share of a colour that does not depend on the angle to the surface, 0 to 1.
         """
         large = Viewpoint(_doubled(view.K), view.world_from_camera, 2 * view.height, 2 * view.width)
         directions = _directions(large)
@@ -70,24 +71,24 @@ class MeshScene:
     def _cast(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Triangle (-1: none) and barycentric weights of the first *front* face along each ray.
 
-        Rooms are recorded from within: from outside one looks through their walls' backs, as into a doll's house.
+        Rooms are recorded from the inside: from outside, the backs of their walls are skipped, as in a doll's house.
         """
         n = len(directions)
         triangle, weights = np.full(n, -1, np.int64), np.zeros((n, 3), np.float32)
         rays = np.concatenate([np.tile(origin, (n, 1)), directions], axis=1).astype(np.float32)
-        todo = np.arange(n)
+        pending = np.arange(n)
         for _ in range(_MOST_LAYERS):
-            answer = self._scene.cast_rays(self._core.Tensor(rays[todo]))
-            distance = answer["t_hit"].numpy()
-            front = np.einsum("nx,nx->n", answer["primitive_normals"].numpy(), directions[todo]) < 0
-            met = np.isfinite(distance)
-            seen, through = met & front, met & ~front
-            triangle[todo[seen]] = answer["primitive_ids"].numpy()[seen].astype(np.int64)
-            uv = answer["primitive_uvs"].numpy()[seen]
-            weights[todo[seen]] = np.concatenate([1 - uv.sum(axis=1, keepdims=True), uv], axis=1)
-            rays[todo[through], :3] += (distance[through, None] + 1e-4) * rays[todo[through], 3:]
-            todo = todo[through]
-            if not len(todo):
+            hits = self._scene.cast_rays(self._core.Tensor(rays[pending]))
+            distance = hits["t_hit"].numpy()
+            front = np.einsum("nx,nx->n", hits["primitive_normals"].numpy(), directions[pending]) < 0
+            is_hit = np.isfinite(distance)
+            seen, through = is_hit & front, is_hit & ~front
+            triangle[pending[seen]] = hits["primitive_ids"].numpy()[seen].astype(np.int64)
+            uv = hits["primitive_uvs"].numpy()[seen]
+            weights[pending[seen]] = np.concatenate([1 - uv.sum(axis=1, keepdims=True), uv], axis=1)
+            rays[pending[through], :3] += (distance[through, None] + 1e-4) * rays[pending[through], 3:]
+            pending = pending[through]
+            if not len(pending):
                 break
         return triangle, weights
 
@@ -105,7 +106,7 @@ def _doubled(K: np.ndarray) -> np.ndarray:
 
 
 def up_direction(support_plane: np.ndarray | None, world_from_cameras: np.ndarray) -> np.ndarray:
-    """Which way is up: the support plane's normal, or where most cameras' images have their top."""
+    """Unit vector (3,) that points up in the world frame: the support plane's normal, or else the cameras' mean."""
     if support_plane is not None and np.linalg.norm(support_plane[:3]) > 0.5:
         return support_plane[:3] / np.linalg.norm(support_plane[:3])
     mean = -world_from_cameras[:, :3, 1].mean(axis=0)
@@ -116,7 +117,7 @@ def up_direction(support_plane: np.ndarray | None, world_from_cameras: np.ndarra
 def orbit_views(
     vertices: np.ndarray, world_from_cameras: np.ndarray, up: np.ndarray, *, height: int, width: int
 ) -> list[Viewpoint]:
-    """Two views from above, on either side of where the mesh was recorded from: with the cameras in it, and without."""
+    """Two viewpoints from above, to either side of the recording cameras: the first shows the cameras, too."""
     sample = vertices[:: max(len(vertices) // 20_000, 1)].astype(np.float64)
     low, high = np.percentile(sample, [1, 99], axis=0)
     centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
@@ -125,13 +126,13 @@ def orbit_views(
     eyes = world_from_cameras[:, :3, 3]
     towards = eyes.mean(axis=0) - centre
     level = towards - (towards @ up) * up
-    if np.linalg.norm(level) < 0.2 * radius:  # Recorded from right above, or from within.
+    if np.linalg.norm(level) < 0.2 * radius:  # Recorded from straight above, or from the inside.
         level = world_from_cameras[0, :3, 0] - (world_from_cameras[0, :3, 0] @ up) * up
     if np.linalg.norm(level) < 1e-6:
         level = np.linalg.svd(up[None])[2][1]
     level = level / np.linalg.norm(level)
     side = np.cross(up, level)
-    # Cameras far away would make the mesh a dot.
+    # Distant cameras would shrink the mesh to a dot.
     near = eyes[np.linalg.norm(eyes - centre, axis=1) < 5 * radius]
     views = []
     for azimuth_deg, points in ((-45.0, np.concatenate([sample, near])), (45.0, sample)):
@@ -148,9 +149,14 @@ def orbit_views(
 
 
 def _eye_that_sees(points: np.ndarray, slope_x: float, slope_y: float) -> np.ndarray:
-    """The nearest eye from which all points lie within the slopes, in the frame of a camera that only moves.
+    """The nearest camera centre (3,) from which all points lie inside the image, along the camera's axes.
 
-    A point p is right of no edge if p_x - e_x <= slope (p_z - e_z), which is linear in the eye e, and so for all sides.
+    A point p is left of the right edge if p_x - e_x <= slope (p_z - e_z), which is linear in the centre e; the other
+    edges likewise.
+
+    Args:
+        points: (n, 3) along the camera's axes.
+        slope_x, slope_y: half the image's size divided by the focal length.
     """
     margin = 0.92
     eye = np.zeros(3)
@@ -165,7 +171,7 @@ def _eye_that_sees(points: np.ndarray, slope_x: float, slope_y: float) -> np.nda
 
 
 def _looking_along(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """The rotation world_from_camera of a camera that looks along `forward`, `up` being up in its image."""
+    """Rotation (3, 3) world_from_camera of a camera looking along `forward`, with `up` upwards in its image."""
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(forward, right), forward], axis=1)
@@ -174,7 +180,7 @@ def _looking_along(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
 def draw_path(
     picture: np.ndarray, view: Viewpoint, world_from_cameras: np.ndarray, first: Colour, last: Colour
 ) -> np.ndarray:
-    """The picture with the recording cameras' way through it, from the colour `first` to `last`."""
+    """The picture with the path of the recording cameras, in colours from `first` to `last`."""
     drawn = picture.copy()
     camera_from_world = invert_rigid(view.world_from_camera)
     pixel, _ = project(transform(camera_from_world, world_from_cameras[:, :3, 3]), view.K)

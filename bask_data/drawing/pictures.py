@@ -1,4 +1,4 @@
-"""Pictures: colour, depth, masks, matches, heat maps and keypoints, drawn and put in data URIs."""
+"""Pictures of colour, depth, masks, matches, heat maps and keypoints, and their data URIs."""
 
 from __future__ import annotations
 
@@ -14,60 +14,65 @@ import numpy as np
 from bask_data.core.geometry import scale_pixels
 
 WHITE = (255, 255, 255)
-"""Of true places and outlines: no palette colour is white."""
+"""Colour of ground-truth positions and outlines; no palette colour is white."""
 INVALID = (128, 128, 128)
-"""Where no depth was measured."""
+"""Colour of pixels without measured depth, and of occluded ground truth."""
 HATCH, HATCH_PX = (24, 24, 24), 6
-"""Colour of the hatching over what is inferred, and pixels from one line to the next."""
+"""Colour of the hatching over parts of masks that no depth confirms, and its period in pixels."""
 RING_PX = 7.0
-"""Radius of the ring around a best match."""
+"""Radius of the ring around a best match, pixels."""
 N_LABEL_COLOURS = 255
-"""Labels beyond this, which no image of labels holds, begin again with the first colour."""
+"""Number of label colours: an 8-bit label image has no more labels. Larger ids repeat the colours."""
 _SUBPIXEL_BITS = 4
-"""Fraction bits of OpenCV's fixed-point coordinates: a sixteenth of a pixel, below what is seen."""
+"""Fraction bits of OpenCV's fixed-point coordinates: a sixteenth of a pixel, too small to see."""
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 Colour = tuple[int, int, int]
 
 
 def palette(n: int) -> list[Colour]:
-    """n distinct colours that stand out on photographs; the first are the same for every n."""
+    """n distinct colours that stand out on photographs; a smaller palette begins a larger one."""
     return [_colour(i) for i in range(n)]
 
 
 def instance_colour(i: int) -> Colour:
-    """The colour of an object by its id, 1 or more."""
+    """The colour of an instance, by its id from 1."""
     return _colour((i - 1) % N_LABEL_COLOURS)
 
 
 def _colour(i: int) -> Colour:
-    # Steps of the golden ratio never come close to a hue used a few steps before.
+    # Steps of the golden ratio keep each hue away from those just before it.
     red, green, blue = colorsys.hsv_to_rgb((0.02 + i * 0.618034) % 1.0, (0.85, 0.6)[i // 8 % 2], 1.0)
     return round(255 * red), round(255 * green), round(255 * blue)
 
 
 def css(colour: Colour) -> str:
-    """The colour as CSS writes it."""
+    """The colour in CSS notation, `#rrggbb`."""
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def jpeg_uri(rgb: np.ndarray, quality: int = 80) -> str:
     """The image (h, w, 3) uint8 as a data URI."""
-    # Half the colour resolution, the default, blurs what is drawn: thin coloured lines and dots.
-    how = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    done, data = cv2.imencode(".jpg", cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2BGR), how)
+    # Chroma subsampling, the default, blurs thin coloured lines and dots.
+    options = [
+        cv2.IMWRITE_JPEG_QUALITY,
+        quality,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+    ]
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2BGR), options)
     assert done, "OpenCV encodes any 8-bit image"
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
 def resize(image: np.ndarray, width: int) -> np.ndarray:
-    """The image at this width. Labels and depth must not be averaged: use `resize_labels`."""
+    """The image scaled to `width` pixels. Labels and depth must not be averaged: use `resize_labels`."""
     size = (width, max(1, round(image.shape[0] * width / image.shape[1])))
     shrinks = width < image.shape[1]
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
 
 
 def resize_labels(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Labels or depth at `size` (height, width): nearest pixel."""
+    """Labels or depth resampled to `size` (height, width) by nearest neighbour."""
     return cv2.resize(labels, (size[1], size[0]), interpolation=cv2.INTER_NEAREST_EXACT)
 
 
@@ -85,7 +90,7 @@ def turbo_gradient() -> str:
 
 
 def heat_gradient() -> str:
-    """The colours of `heat_picture`, none to most, as a CSS gradient."""
+    """The colours of `heat_picture`, zero to maximum, as a CSS gradient."""
     return _gradient(cv2.COLORMAP_INFERNO)
 
 
@@ -95,7 +100,7 @@ def _gradient(colour_map: int) -> str:
 
 
 def instance_colours(vertex_instance: np.ndarray, vertex_colours: np.ndarray) -> np.ndarray:
-    """(n, 3) uint8: instances in their colours, background in faint grey of its own brightness."""
+    """Vertex colours (n, 3) uint8: instances in their own colours, background in a faint grey of its brightness."""
     grey = vertex_colours.astype(np.float32).mean(axis=1, keepdims=True)
     result = np.repeat(70 + 0.4 * grey, 3, axis=1)
     on_object = vertex_instance > 0
@@ -107,10 +112,10 @@ def instance_colours(vertex_instance: np.ndarray, vertex_colours: np.ndarray) ->
 def mask_picture(
     rgb: np.ndarray, instance: np.ndarray, labels: np.ndarray | None, width: int, measured: np.ndarray | None = None
 ) -> np.ndarray:
-    """The image with instances tinted, outlined and numbered; the outlines of true labels, if given, in white.
+    """The image with instances tinted, outlined and numbered; outlines of ground-truth labels, if given, in white.
 
     Args:
-        measured: (h, w) bool; where False, the instance is an inference without a measurement, and hatched.
+        measured: (h, w) bool; where False, no depth confirms the instance, and it is hatched.
     """
     picture = resize(rgb, width)
     instance = resize_labels(instance, picture.shape[:2])
@@ -122,9 +127,9 @@ def mask_picture(
     inside = instance > 0
     picture[inside] = (0.6 * picture[inside] + 0.4 * tint[inside]).astype(np.uint8)
     if measured is not None:
-        guessed = inside & (resize_labels(measured.astype(np.uint8), picture.shape[:2]) == 0)
-        v, u = np.indices(guessed.shape)
-        picture[guessed & ((u + v) % HATCH_PX < 2)] = HATCH
+        unconfirmed = inside & (resize_labels(measured.astype(np.uint8), picture.shape[:2]) == 0)
+        v, u = np.indices(unconfirmed.shape)
+        picture[unconfirmed & ((u + v) % HATCH_PX < 2)] = HATCH
     picture = np.ascontiguousarray(picture)
     if labels is not None:
         labels = resize_labels(labels, picture.shape[:2])
@@ -146,7 +151,7 @@ def _outline(picture: np.ndarray, mask: np.ndarray, colour: Colour, thickness: i
 
 
 def _tag(picture: np.ndarray, text: str, centre: tuple[float, float], colour: Colour) -> None:
-    """A number in a box of its colour, black or white, whichever reads."""
+    """A number on a box of this colour, in black or white, whichever contrasts more."""
     scale = 0.45
     (width, height), _ = cv2.getTextSize(text, _FONT, scale, 1)
     u = int(np.clip(centre[0] - width / 2, 2, max(picture.shape[1] - width - 3, 2)))
@@ -157,7 +162,7 @@ def _tag(picture: np.ndarray, text: str, centre: tuple[float, float], colour: Co
 
 
 def spread_matches(instance: np.ndarray, n_wanted: int) -> np.ndarray:
-    """Which matches to draw: chosen by chance, the same each time, every instance getting its turn."""
+    """Indices of the matches to draw: a random sample with a fixed seed, balanced over instances."""
     order = np.random.default_rng(0).permutation(len(instance))
     rank = np.zeros(len(instance), dtype=np.int64)
     for i in np.unique(instance):
@@ -167,7 +172,7 @@ def spread_matches(instance: np.ndarray, n_wanted: int) -> np.ndarray:
 
 
 def matches_picture(rgb_a: np.ndarray, rgb_b: np.ndarray, uv_a: np.ndarray, uv_b: np.ndarray, width: int) -> np.ndarray:
-    """Two images side by side, each match a line in a colour of its own."""
+    """Two images side by side, with each match as a line in a colour of its own."""
     gap = 6
     left, right = resize(rgb_a, (width - gap) // 2), resize(rgb_b, (width - gap) // 2)
     height = max(len(left), len(right))
@@ -189,10 +194,10 @@ class Mark:
     """A keypoint to draw, in pixels of the image as recorded.
 
     Args:
-        seen: filled if the filter thinks that the camera sees it, else hollow.
-        trail: (n, 2) where it was, oldest first; NaN breaks the line.
+        seen: whether the filter considers it visible to the camera; drawn filled, otherwise hollow.
+        trail: (n, 2) earlier pixels, oldest first; NaN breaks the line.
         covariance: (2, 2) square pixels; drawn as its one-sigma ellipse.
-        truth: where it should be; a cross, joined to the mark by a line.
+        truth: (2,) ground truth; a cross, joined to the mark by a line.
     """
 
     number: int
@@ -205,7 +210,7 @@ class Mark:
 
 
 def marks_picture(rgb: np.ndarray, marks: Sequence[Mark], width: int) -> np.ndarray:
-    """The image with keypoints, numbered, in colours of their own."""
+    """The image with numbered keypoints in their colours."""
     picture = np.ascontiguousarray(resize(rgb, width))
     size, new_size = rgb.shape[:2], picture.shape[:2]
     factor = width / rgb.shape[1]
@@ -234,11 +239,11 @@ def marks_picture(rgb: np.ndarray, marks: Sequence[Mark], width: int) -> np.ndar
 def heat_picture(
     rgb: np.ndarray, heat: np.ndarray, marks: Sequence[Mark], width: int, *, truth_seen: bool = True
 ) -> np.ndarray:
-    """A heat map (any resolution, its largest value the brightest) glowing over the dimmed image.
+    """A heat map (any resolution, scaled to its maximum) overlaid on the dimmed image.
 
     Args:
-        marks: best matches as rings, true places as crosses joined to them.
-        truth_seen: grey crosses stand for places that the image does not show.
+        marks: best matches as rings, ground truth as crosses joined to them.
+        truth_seen: whether the ground truth is visible in the image; if not, its crosses are grey.
     """
     picture = resize(rgb, width).astype(np.float32)
     size = (picture.shape[1], picture.shape[0])
@@ -254,7 +259,7 @@ def heat_picture(
         truth = mark.pixel * np.nan if mark.truth is None else mark.truth.astype(np.float64)
         truth = scale_pixels(truth, rgb.shape[:2], drawn.shape[:2])
         if np.isfinite([*point, *truth]).all() and truth_seen:
-            # From the ring on: what is inside of it is to be seen.
+            # The line ends at the ring, whose inside stays visible.
             start = point + (truth - point) * min(1.0, RING_PX / max(float(np.linalg.norm(truth - point)), 1e-9))
             cv2.line(drawn, _fixed(start), _fixed(truth), WHITE, 1, cv2.LINE_AA, _SUBPIXEL_BITS)
         if np.isfinite(truth).all():
@@ -265,7 +270,7 @@ def heat_picture(
 
 
 def crop_picture(rgb: np.ndarray, pixel: np.ndarray, half: int, width: int, colour: Colour) -> np.ndarray:
-    """A square around a pixel, enlarged, with a cross on the pixel."""
+    """An enlarged square around a pixel, with a cross on it; `half` pixels from the centre to an edge."""
     padded = np.pad(rgb, ((half, half), (half, half), (0, 0)), mode="edge")
     u, v = np.rint(np.clip(pixel, 0, [rgb.shape[1] - 1, rgb.shape[0] - 1])).astype(int)
     crop = padded[v : v + 2 * half + 1, u : u + 2 * half + 1]

@@ -1,4 +1,4 @@
-"""Curves as inline SVG that takes its text colour from the page, so that it reads on light and on dark."""
+"""Plots as inline SVG in the page's text colour, legible on light and dark pages."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 _INK = "#010203"
-"""A colour nobody draws with; it becomes the page's own text colour."""
+"""A placeholder for the page's text colour."""
 _BAR = "#5f93cc"
-"""Reads on a light and on a dark page."""
+"""Colour of histogram bars; legible on light and dark pages."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a plot; without a colour it has that of the text."""
+    """One line of a plot; an empty colour is that of the text."""
 
     x: np.ndarray
     y: np.ndarray
@@ -28,13 +28,13 @@ class Curve:
     thick: bool = False
     dashed: bool = False
     dots: bool = False
-    """Only its points, not joined."""
+    """Points only, not joined."""
     deviation: np.ndarray | None = None
-    """Half the width of a shaded band around it, which ends at zero."""
+    """Half-width of a shaded band around the curve, cut off at zero."""
 
 
 def numbers(values: Sequence[float | None]) -> np.ndarray:
-    """Values as JSON has them, which knows no NaN, as an array (n,): None becomes NaN."""
+    """Values from JSON as an array (n,); None becomes NaN."""
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
@@ -48,9 +48,12 @@ def line_plot(
     y_range: tuple[float, float] | None = None,
     marked_x: float | None = None,
 ) -> str:
-    """An SVG element; a vertical line marks a place of the x axis.
+    """Curves over common axes, as an SVG element.
 
-    The labels of the axes must be ours: names out of files belong in HTML, where they are escaped.
+    Axis labels must be constants: names from files belong in HTML, where they are escaped.
+
+    Args:
+        marked_x: position of a vertical line.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -75,7 +78,7 @@ def line_plot(
             axes.axvline(marked_x, color=_INK, linewidth=1.2, linestyle=":")
         if logarithmic and any((curve.y[np.isfinite(curve.y)] > 0).any() for curve in curves):
             axes.set_yscale("log")
-            # The default writes powers as TeX, and only whole ones, of which there may be none in the range.
+            # The default labels whole powers of ten only, as TeX, and the range may contain none.
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             axes.yaxis.set_minor_formatter(NullFormatter())
@@ -87,7 +90,7 @@ def line_plot(
 
 
 def histogram(values: np.ndarray, *, x_label: str, y_label: str, n_bins: int = 24, logarithmic: bool = False) -> str:
-    """An SVG element; of a logarithmic axis, each bin spans the same factor."""
+    """A histogram as an SVG element; on a logarithmic axis, each bin spans the same factor."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     values = values[np.isfinite(values)]
@@ -146,14 +149,14 @@ def _canvas(x_label: str, y_label: str, size: tuple[float, float] = (5.2, 2.5)) 
 
 
 def _inline(document: str) -> str:
-    """The `<svg>` element alone, without the references a stand-alone file needs, in the page's ink."""
+    """The `<svg>` element alone, without what a stand-alone file needs, in the page's text colour."""
     svg = document[document.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r'\sxmlns(:\w+)?="[^"]*"', "", svg)
-    # Width and height in points would keep it from shrinking on a phone; the view box is enough.
+    # A fixed width and height would keep it from shrinking on a phone; the view box is enough.
     svg = re.sub(r'(<svg[^>]*?)\swidth="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r'(<svg[^>]*?)\sheight="[^"]*"', r"\1", svg, count=1)
-    # Every plot numbers its parts from one; on a page with several, names must differ.
+    # Matplotlib repeats its ids from plot to plot; on one page they must differ.
     prefix = "p" + hashlib.sha256(svg.encode()).hexdigest()[:8]
     svg = re.sub(r'\sid="', f' id="{prefix}-', svg)
     svg = re.sub(r'(url\(|href=")#', rf"\1#{prefix}-", svg)

@@ -16,15 +16,15 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return filled_dataset(tmp_path_factory.mktemp("full") / "dataset")
 
 
-def test_marks_are_the_track_s_pixels_with_its_trail_and_the_true_places_in_view(dataset: Dataset) -> None:
+def test_marks_are_the_track_s_pixels_with_its_trail_and_the_true_positions_in_view(dataset: Dataset) -> None:
     track = KeypointTrack(dataset.path(KeypointTrack, "demo-a"))
     cameras = Demonstration(dataset.path(Demonstration, "demo-a")).cameras
     places = track.mean.astype(np.float64)
     places[:, 1] = (0.0, 0.0, 1e3)
-    [seen] = camera_tracks(track, cameras, places)
+    [camera_track] = camera_tracks(track, cameras, places)
     i_frame = 4
-    first, second = seen.marks(i_frame, palette(2))
-    np.testing.assert_array_equal(first.pixel, track.pixel(seen.camera.name)[i_frame, 0])
+    first, second = camera_track.marks(i_frame, palette(2))
+    np.testing.assert_array_equal(first.pixel, track.pixel(camera_track.camera.name)[i_frame, 0])
     np.testing.assert_allclose(first.trail[-1], first.pixel, atol=0.01)
     assert len(first.trail) == min(i_frame, N_TRAIL) + 1
     np.testing.assert_allclose(first.truth, first.pixel, atol=0.01)
@@ -34,10 +34,10 @@ def test_marks_are_the_track_s_pixels_with_its_trail_and_the_true_places_in_view
 def test_an_ellipse_is_the_covariance_seen_through_the_camera(dataset: Dataset) -> None:
     track = KeypointTrack(dataset.path(KeypointTrack, "demo-a"))
     cameras = Demonstration(dataset.path(Demonstration, "demo-a")).cameras
-    [seen] = camera_tracks(track, cameras, np.full(track.mean.shape, np.nan))
-    mark, rng = seen.marks(0, palette(2))[0], np.random.default_rng(0)
+    [camera_track] = camera_tracks(track, cameras, np.full(track.mean.shape, np.nan))
+    mark, rng = camera_track.marks(0, palette(2))[0], np.random.default_rng(0)
     moved = rng.multivariate_normal(track.mean[0, 0], track.covariance[0, 0], 40_000)
-    camera = seen.camera
+    camera = camera_track.camera
     pixels = project(transform(invert_rigid(camera.world_from_cameras[0]), moved), camera.K)[0]
     np.testing.assert_allclose(mark.covariance, np.cov(pixels.T), rtol=0.05, atol=0.05 * np.trace(mark.covariance))
 

@@ -14,7 +14,6 @@ def sphere(radius: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_mesh_is_drawn_in_its_colours_on_the_background():
-
     vertices, triangles = sphere()
     view = Viewpoint(intrinsics(48, 64), look_at((0.4, 0.0, 0.0)), 48, 64)
     red = np.tile(np.array([200, 0, 0], np.uint8), (len(vertices), 1))
@@ -26,8 +25,7 @@ def test_a_mesh_is_drawn_in_its_colours_on_the_background():
     assert rim[0] < 150, "a surface seen from the side is darker"
 
 
-def test_backs_of_faces_are_looked_through():
-
+def test_rays_pass_through_back_faces():
     vertices, triangles = sphere()
     inside_out = np.ascontiguousarray(triangles[:, ::-1])
     colours = np.zeros((len(vertices), 3), np.uint8)

@@ -63,7 +63,7 @@ def test_marks_are_drawn_where_they_are_and_not_where_they_are_unknown():
 
 
 @pytest.mark.parametrize("far", [1e7, -1e7, 1e30, np.inf, np.nan])
-def test_marks_far_outside_the_image_break_nothing(far):
+def test_marks_far_outside_the_image_are_harmless(far):
     mark = draw.Mark(
         1,
         np.array([far, 5.0]),
@@ -83,14 +83,14 @@ def test_the_brightest_spot_of_a_heat_map_is_its_maximum():
     assert (abs(u - 20.5), abs(v - 40.5)) < (2, 2)
 
 
-def test_the_best_match_is_a_ring_and_the_truth_a_cross_joined_to_it_unless_hidden():
+def test_the_best_match_is_a_ring_and_ground_truth_a_cross_joined_to_it_unless_occluded():
     mark = draw.Mark(1, np.array([20.0, 30.0]), (0, 255, 0), truth=np.array([60.0, 30.0]))
     heat = np.ones((30, 40))
     bare, drawn, hidden = (
         draw.heat_picture(GREY, heat, marks, 80, truth_seen=seen)
         for marks, seen in (([], True), ([mark], True), ([mark], False))
     )
-    assert (drawn[30, 20] == bare[30, 20]).all(), "the spot itself stays to be seen"
+    assert (drawn[30, 20] == bare[30, 20]).all(), "the match itself stays visible"
     assert drawn[30, 13].tolist() == [0, 255, 0]
     assert drawn[30, 60].tolist() == [255, 255, 255]
     assert (drawn[30, 35:50] > 240).all()
