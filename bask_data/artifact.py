@@ -15,6 +15,7 @@ import shutil
 import socket
 import uuid
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -32,6 +33,8 @@ MANIFEST = "artifact.json"
 SCRATCH = ".scratch"
 REMAKE = "make it again with --force, a recording with `bask-data ingest`."
 """How an artifact that does not hold what it should is mended."""
+MOST_JSON_BYTES = 64 * 2**20
+"""Of a document that is read at all: what is larger is none of ours."""
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
 Scope = Literal["scene", "demonstration", "recording", "dataset"]
@@ -213,7 +216,7 @@ def write_group(path: Path, attributes: dict[str, Any]) -> None:
 def read_json(file: Path) -> Any:
     """A JSON document; `BadData` with the path if it is missing, too large or broken."""
     try:
-        if file.stat().st_size > 64 * 2**20:
+        if file.stat().st_size > MOST_JSON_BYTES:
             raise BadData(file, "", expected="a JSON document below 64 MiB", got=f"{file.stat().st_size} bytes")
         return json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -241,8 +244,12 @@ def write_text_atomically(file: Path, text: str) -> None:
 
 
 def read_manifest(path: Path) -> Manifest:
-    """The manifest of the artifact at `path`."""
+    """The manifest of the artifact at `path`; `BadData` if it is missing or broken."""
     file = path / MANIFEST
+    # Thousands are read by one command, nearly all of them whole: the way that says what is wrong is the second.
+    with suppress(OSError, ValidationError), file.open("rb") as stream:
+        if os.fstat(stream.fileno()).st_size <= MOST_JSON_BYTES:
+            return Manifest.model_validate_json(stream.read())
     try:
         return Manifest.model_validate(read_json(file))
     except ValidationError as error:

@@ -14,7 +14,17 @@ from pathlib import Path
 from typing import Any
 
 from bask_data.dataset import DATASET, Dataset, Source
-from bask_data.engine import Config, Stage, Task, parameter_files, plan, resolve
+from bask_data.engine import (
+    Config,
+    Stage,
+    Task,
+    laid_over,
+    parameter_files,
+    plan,
+    read_requested,
+    resolve,
+    sections_for,
+)
 from bask_data.kinds import KINDS, Demonstration, Scan
 
 _HEADER = "# Written by `bask-data dvc`; change params.yaml or dataset.json, then run it again.\n"
@@ -26,6 +36,7 @@ def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[st
     import yaml
 
     stages = list(stages)
+    config = _with_requested(dataset, stages, config)
     described: dict[str, Any] = {}
     for scope, kind in (("scene", Scan), ("demonstration", Demonstration)):
         sources = dataset.file.scenes if scope == "scene" else dataset.file.demonstrations
@@ -41,6 +52,16 @@ def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[st
         "params.yaml": params_text(stages, config),
         ".gitignore": _gitignore(dataset.root / ".gitignore"),
     }
+
+
+def _with_requested(dataset: Dataset, stages: Iterable[Stage], config: Config) -> Config:
+    """The configuration over what is recorded: params.yaml states every parameter, and goes over both from then on."""
+    requested = read_requested(dataset.root)
+    laid: Config = {}
+    for stage in stages:
+        variants = list(dataset.variants(stage.makes)) if stage.makes.has_variants else []
+        laid |= laid_over(requested.parameters, config, stage.name, variants)
+    return laid
 
 
 def _gitignore(file: Path) -> str:
@@ -113,7 +134,7 @@ def _stage(dataset: Dataset, task: Task, config: Config) -> dict[str, Any]:
         chosen = dataset.variants(stage.makes)[task.variant].inputs
         words += [f"--{kind} {variant}" for kind, variant in chosen.items()]
     sections = [stage.name] if stage.params.model_fields else []
-    sections += [name for name in (f"{stage.name}@{task.variant}", f"{stage.name}@{task.item}") if config.get(name)]
+    sections += [name for name in sections_for(stage.name, task.item, task.variant)[1:] if config.get(name)]
     params: list[Any] = list(sections)
     if stage.wants_splits:
         params.append({DATASET: ["splits"]})

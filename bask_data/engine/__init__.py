@@ -14,7 +14,7 @@ from bask_data.engine.making import Outcome, Position, foretold, make, run
 from bask_data.engine.pipeline import PlannedStage, Standing, planned, run_pipeline, status
 from bask_data.engine.publishing import Origin, published, scratches
 from bask_data.engine.requested import REQUESTED, Requested, RunRequest, read_requested, record_requested
-from bask_data.engine.sections import Config
+from bask_data.engine.sections import Config, laid_over, sections_for
 from bask_data.engine.snapshot import Snapshot
 from bask_data.engine.state import Blocked, State, key_parts, state_of, state_told
 from bask_data.engine.tasks import Task, parameter_files, plan, resolve
@@ -43,6 +43,7 @@ __all__ = [
     "in_order",
     "is_follower",
     "key_parts",
+    "laid_over",
     "make",
     "parameter_files",
     "plan",
@@ -56,6 +57,7 @@ __all__ = [
     "run",
     "run_pipeline",
     "scratches",
+    "sections_for",
     "stage",
     "state_of",
     "state_told",

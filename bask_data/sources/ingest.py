@@ -48,22 +48,24 @@ def ingest(
     """
     makes = Scan if kind == "scan" else Demonstration
     check_name(item, root / DATASET)
-    refuse_other_scope(root, makes, item, "choose another --scene.")
+    dataset = Dataset.open_if_any(root)
+    refuse_other_scope(dataset, makes, item, "choose another --scene.")
     read = format.read(source, options)
     key = _key(makes, format, options, source, read)
     fix = "choose another --scene, or pass --force."
     if not force and is_current(root, makes, item, key, fix, read.has_labels):
         # A kill between publishing and listing leaves a recording that no command would look at.
-        dataset = Dataset.open_or_create(root)
+        dataset = dataset or Dataset.open_or_create(root)
         if item not in dataset.items(makes.scope):
             _enter(dataset, item, format, source, options, makes, read)
         return [up_to_date(root, makes, item)], {}
     with undone_if_new(root):
-        return _write(root, item, format, source, options, makes, read, key), read.assumptions
+        dataset = dataset or Dataset.open_or_create(root)
+        return _write(dataset, item, format, source, options, makes, read, key), read.assumptions
 
 
 def _write(
-    root: Path,
+    dataset: Dataset,
     item: str,
     format: Format,
     source: Path,
@@ -72,7 +74,6 @@ def _write(
     read: recording.SourceRecording,
     key: str,
 ) -> list[Outcome]:
-    dataset = Dataset.open_or_create(root)
     begun = time.perf_counter()
     origin = Origin(
         f"ingest {format.name}",

@@ -15,11 +15,11 @@ from bask_data.errors import UsageError, WouldOverwrite
 from bask_data.kinds import Recording, Scan, Truth
 
 
-def refuse_other_scope(root: Path, makes: type[Recording], item: str, fix: str = "") -> None:
+def refuse_other_scope(dataset: Dataset | None, makes: type[Recording], item: str, fix: str = "") -> None:
     """A name stands for a scan or a demonstration, never for both; `UsageError`."""
     other = "demonstration" if makes is Scan else "scene"
-    if (root / DATASET).exists() and item in Dataset(root).items(other):
-        raise UsageError(root / DATASET, item, expected="a new name", got=f"the name of a {other}", fix=fix)
+    if dataset is not None and item in dataset.items(other):
+        raise UsageError(dataset.root / DATASET, item, expected="a new name", got=f"the name of a {other}", fix=fix)
 
 
 def is_current(root: Path, makes: type[Recording], item: str, key: str, fix: str, has_truth: bool) -> bool:

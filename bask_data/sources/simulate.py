@@ -111,8 +111,9 @@ def simulate(
     """
     jobs = _jobs(options, n_scans, n_demonstrations, only)
     fix = "choose another dataset, or pass --force."
+    there = Dataset.open_if_any(root)
     for job in jobs:
-        refuse_other_scope(root, job.makes, job.item)
+        refuse_other_scope(there, job.makes, job.item)
     current = {job.item for job in jobs if not force and is_current(root, job.makes, job.item, job.key, fix, True)}
     outcomes, n_failed = [], 0
     with undone_if_new(root), _Studio(options) as studio:
