@@ -69,7 +69,9 @@ def ingesting(folder: Path, root: Path) -> Work:
 
     def work() -> None:
         [format] = [format for format in FORMATS if format.name == "frames"]
-        ingest(root, f"new{os.getpid()}-{next(count)}", format=format, source=folder / "source", options=options(format))
+        ingest(
+            root, f"new{os.getpid()}-{next(count)}", format=format, source=folder / "source", options=options(format)
+        )
 
     return work
 
