@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from bask_data.kinds import Camera, Recording
     from bask_data.nn.network import DescriptorNetwork
 
-MOST_BYTES = 512 * 2**20
+MOST_DESCRIPTOR_BYTES = 512 * 2**20
 """Bytes of descriptors kept in memory: of 256x256 images with 32 dimensions more than a thousand frames. A page shows
 seven at a time, so that a tenth would do; frames that were dropped take the network's time again."""
 
@@ -84,7 +84,7 @@ class Gallery:
     """The recordings and their frames; descriptors are computed when first asked for."""
 
     def __init__(
-        self, recordings: Mapping[str, Recording], network: DescriptorNetwork, most_bytes: int = MOST_BYTES
+        self, recordings: Mapping[str, Recording], network: DescriptorNetwork, most_bytes: int = MOST_DESCRIPTOR_BYTES
     ) -> None:
         self.recordings = recordings
         self._cameras = {name: {one.name: one for one in recording.cameras} for name, recording in recordings.items()}

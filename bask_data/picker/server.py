@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Receive, Scope, Send
 
 LOOPBACK = "127.0.0.1"
-MOST_BYTES = 64 * 1024
+MOST_BODY_BYTES = 64 * 1024
 """Bytes of a request's body. The largest that the page sends, a search in seven frames, takes 0.6 kB, and 4 kB with the
 longest names. It keeps a hostile request from filling memory, so a quarter or ten times of it are as good."""
 
@@ -143,8 +143,8 @@ def _answering(answer: Callable[[Any], Any]) -> Callable[[HttpRequest], Awaitabl
         body = bytearray()
         async for chunk in request.stream():
             body += chunk
-            if len(body) > MOST_BYTES:
-                return refused(413, f"expected at most {MOST_BYTES} bytes")
+            if len(body) > MOST_BODY_BYTES:
+                return refused(413, f"expected at most {MOST_BODY_BYTES} bytes")
         try:
             parsed = model.model_validate_json(bytes(body))
         except ValidationError as error:

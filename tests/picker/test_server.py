@@ -17,7 +17,7 @@ from bask_data.errors import MissingDependency, UsageError
 from bask_data.picker.desk import Desk
 from bask_data.picker.draft import Draft, KeypointMark
 from bask_data.picker.gallery import Gallery
-from bask_data.picker.server import MOST_BYTES, listen, serve
+from bask_data.picker.server import MOST_BODY_BYTES, listen, serve
 from bask_data.progress import progress
 from tests.picker.pickable import HEIGHT, WIDTH, frame, pickable_dataset, recordings_of, untrained
 from tests.picker.serving import Served
@@ -214,7 +214,7 @@ def test_what_is_no_proper_request_is_refused(served, text: bytes, status: int) 
 
 
 def test_large_bodies_are_refused_whether_they_say_so_or_not(served) -> None:
-    body = json.dumps({"do": "add", "name": "x" * MOST_BYTES}).encode()
+    body = json.dumps({"do": "add", "name": "x" * MOST_BODY_BYTES}).encode()
     assert served.request("POST", "/api/edit", body, **served.headers_of_page)[0] == 413
     pieces = (body[i : i + 1000] for i in range(0, len(body), 1000))
     connection = http.client.HTTPConnection("127.0.0.1", served.port, timeout=30)
@@ -229,7 +229,7 @@ def test_large_bodies_are_refused_whether_they_say_so_or_not(served) -> None:
     [
         ("edit", b"{", "request: expected JSON, got EOF while parsing"),
         ("edit", b"[" * 30000, "request: expected JSON, got recursion limit exceeded"),
-        ("edit", b'{"do": "format"}', "do: expected 'add', 'move'"),
+        ("edit", b'{"do": "format"}', "do: expected one of add, move"),
         ("edit", b'{"do": "add"}', "edit: at: expected a pixel, got none"),
         ("edit", b'{"do": "undo", "more": 1}', "more: expected no field of that name"),
         ("edit", b'{"do": "add", "at": {"frame": ["a", "wrist", 0], "u": NaN, "v": 1}}', "expected "),
