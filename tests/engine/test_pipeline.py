@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from bask_data.dataset import Dataset
+from bask_data.engine import Position, RunRequest, Snapshot, plan, run, run_pipeline, state_of, status
+from bask_data.errors import UsageError
+from bask_data.kinds import Reconstruction
+from tests.datasets import add_scan
+from tests.toy_stages import fuse, learn, pick
+
+STAGES = (fuse, pick, learn)
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Dataset:
+    dataset = Dataset.create(tmp_path / "table")
+    add_scan(dataset, "a")
+    add_scan(dataset, "b")
+    return dataset
+
+
+def test_everything_is_made_in_order_with_its_position(dataset: Dataset) -> None:
+    begun: list[Position] = []
+    outcomes = list(run_pipeline(dataset, STAGES, begin=begun.append))
+    assert [(outcome.label, outcome.status) for outcome in outcomes] == [
+        ("fuse a", "made"),
+        ("fuse b", "made"),
+        ("pick a", "made"),
+        ("pick b", "made"),
+        ("learn", "made"),
+    ]
+    assert [outcome.position for outcome in outcomes] == begun
+    assert begun[3] == Position("pick", "main", 2, 3, "b", 2, 2)
+    assert [there.state.status for there in status(dataset, STAGES)] == ["up to date"] * 5
+
+
+def test_on_an_executor_a_stage_is_told_when_it_begins(dataset: Dataset) -> None:
+    begun: list[Position] = []
+    with ThreadPoolExecutor(2) as pool:
+        outcomes = list(run_pipeline(dataset, STAGES, executor=pool, begin=begun.append))
+    assert [(place.stage, place.item) for place in begun] == [("fuse", ""), ("pick", ""), ("learn", "")]
+    assert [outcome.position.item_number for outcome in outcomes if outcome.position] == [1, 2, 1, 2, 1]
+
+
+def test_a_bad_parameter_of_a_late_stage_is_refused_before_anything_is_made(dataset: Dataset) -> None:
+    with pytest.raises(UsageError, match="pick: n: expected"):
+        run_pipeline(dataset, STAGES, RunRequest(given={"pick": {"n": 1}}))
+    assert not (dataset.root / "reconstruction").exists()
+
+
+def test_a_dry_run_foretells_what_comes_after_what(dataset: Dataset) -> None:
+    outcomes = list(run_pipeline(dataset, STAGES, dry_run=True))
+    assert [outcome.status for outcome in outcomes] == ["would make"] * 5
+    assert outcomes[2].why == "after reconstruction/a"
+    assert outcomes[2].position == Position("pick", "main", 2, 3, "a", 1, 2)
+    assert not (dataset.root / "reconstruction").exists()
+
+
+def test_chosen_scenes_and_stages_alone_are_made(dataset: Dataset) -> None:
+    outcomes = run_pipeline(dataset, STAGES, RunRequest(stages=("fuse", "pick"), only=("b",)))
+    assert [outcome.label for outcome in outcomes] == ["fuse b", "pick b"]
+
+
+@pytest.mark.parametrize(
+    ("request_", "message"),
+    [
+        (RunRequest(stages=("fusing",)), "stages: expected some of fuse, pick, learn, got fusing"),
+        (RunRequest(only=("c",)), "--only: expected one of a, b, got c"),
+        (RunRequest(options={"voxel_size": 1}), "options: expected one stage whose they are, got all"),
+    ],
+)
+def test_what_does_not_exist_is_refused(dataset: Dataset, request_: RunRequest, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        run_pipeline(dataset, STAGES, request_)
+
+
+def test_a_dataset_without_recordings_is_refused(tmp_path: Path) -> None:
+    empty = Dataset.create(tmp_path / "empty")
+    with pytest.raises(UsageError, match="expected a recording, got none in the dataset"):
+        run_pipeline(empty, STAGES)
+    with pytest.raises(UsageError, match="expected a scene, got none in the dataset"):
+        run_pipeline(empty, STAGES, RunRequest(stages=("fuse",)))
+
+
+def test_status_says_what_is_missing_blocked_and_stale(dataset: Dataset) -> None:
+    list(run(plan(dataset, fuse, only=["a"])))
+    found = {
+        there.label: there.state for there in status(dataset, STAGES, RunRequest(given={"fuse@a": {"ignored": 1}}))
+    }
+    assert (found["fuse a"].status, found["fuse a"].why) == ("stale", "changed: ignored 0 -> 1")
+    assert found["fuse b"].status == "missing"
+    blocked = found["pick b"].blocked
+    assert blocked is not None
+    assert (blocked.kind, blocked.paths) == ("input missing", (dataset.path(Reconstruction, "b"),))
+
+
+def test_a_snapshot_keeps_what_it_saw_and_what_makes_artifacts_does_not_ask_it(dataset: Dataset) -> None:
+    seen = Snapshot()
+    [task, _] = plan(dataset, fuse)
+    assert state_of(task, seen).status == "missing"
+    assert [outcome.status for outcome in run(plan(dataset, fuse))] == ["made", "made"]
+    assert state_of(task, seen).status == "missing"
+    assert state_of(task).status == "up to date"
+    assert state_of(task, Snapshot()).status == "up to date"
+
+
+def test_each_manifest_is_read_once_by_a_snapshot(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    from bask_data.engine import snapshot
+
+    list(run_pipeline(dataset, STAGES))
+    read, paths = snapshot.read_manifest, list[Path]()
+    monkeypatch.setattr(snapshot, "read_manifest", lambda path: (paths.append(path), read(path))[1])
+    assert {there.state.status for there in status(dataset, STAGES)} == {"up to date"}
+    assert len(paths) == len(set(paths)) == 7
+
+
+def test_a_broken_manifest_is_told_of_its_own_artifact_and_of_what_reads_it(dataset: Dataset) -> None:
+    list(run_pipeline(dataset, STAGES))
+    (dataset.path(Reconstruction, "a") / "artifact.json").write_text(json.dumps({"kind": "reconstruction"}))
+    found = {there.label: there.state for there in status(dataset, STAGES)}
+    assert (found["fuse a"].status, found["fuse a"].why) == ("stale", "its manifest is missing or broken")
+    blocked = found["pick a"].blocked
+    assert blocked is not None
+    assert blocked.kind == "input broken"
+    assert found["pick b"].status == "up to date"
