@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import os
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 # Before NumPy or torch is loaded. One thread per worker: two workers share two cores, and results that depend on how a
 # sum is split over threads come out the same on every machine.
@@ -16,6 +18,10 @@ os.environ.pop("PYTHONWARNINGS", None)
 import hypothesis
 import jaxtyping
 import jaxtyping._import_hook as import_hook
+import pytest
+
+if TYPE_CHECKING:
+    from bask_data.dataset import Dataset
 
 CHECKED = ("bask_data.core", "bask_data.formats", "bask_data.nn", "bask_data.sim")
 
@@ -40,3 +46,15 @@ hypothesis.settings.register_profile("default", deadline=None, max_examples=50)
 hypothesis.settings.register_profile("ci", deadline=None, max_examples=50, derandomize=True, print_blob=True)
 hypothesis.settings.register_profile("thorough", deadline=None, max_examples=1000)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE") or ("ci" if os.environ.get("CI") else "default"))
+
+
+@pytest.fixture(scope="session")
+def filled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dataset]:
+    """A dataset with everything but a network, for all tests to read; one that writes takes a copy of it, `copied`."""
+    from tests.report.filled import filled_dataset
+
+    dataset = filled_dataset(tmp_path_factory.mktemp("filled") / "dataset")
+    before = {file: file.stat().st_mtime_ns for file in dataset.root.rglob("*")}
+    yield dataset
+    after = {file: file.stat().st_mtime_ns for file in dataset.root.rglob("*")}
+    assert after == before, f"a test changed what all tests read: {sorted(before.items() ^ after.items())[:3]}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,11 @@ from bask_data.artifact import Artifact, digest_of, new_scratch, publish, seal
 from bask_data.core.tsdf import Mesh
 from bask_data.dataset import Dataset, Source
 from bask_data.kinds import CameraFrames, Demonstration, Reconstruction, Scan
+
+
+def copied(dataset: Dataset, root: Path) -> Dataset:
+    """A dataset that a test may change, from one that it may not: twenty times as fast as making it."""
+    return Dataset(shutil.copytree(dataset.root, root))
 
 
 def publish_recording(

@@ -9,13 +9,13 @@ from bask_data.evaluation.finder import Finder, network_of
 from bask_data.evaluation.lookup import find, find_recording
 from bask_data.evaluation.search import ALPHA
 from bask_data.kinds import DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints
-from tests.datasets import publish_artifact
-from tests.report.filled import HEIGHT, WIDTH, filled_dataset, publish_network
+from tests.datasets import copied, publish_artifact
+from tests.report.filled import HEIGHT, WIDTH, publish_network
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    dataset = filled_dataset(tmp_path_factory.mktemp("full") / "dataset")
+def dataset(filled: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    dataset = copied(filled, tmp_path_factory.mktemp("full") / "dataset")
     publish_network(dataset)
     return dataset
 
@@ -30,8 +30,8 @@ def camera_of(dataset: Dataset, name: str):
     return recording.cameras[0]
 
 
-def test_a_network_finds_a_point_in_the_image_it_was_picked_in(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_a_network_finds_a_point_in_the_image_it_was_picked_in(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     publish_network(dataset)
     dataset.add_variant(DescriptorNet, "other", Variant())
     publish_network(dataset, variant="other")
@@ -70,8 +70,8 @@ def test_points_of_images_that_are_not_there_are_not_described(dataset):
     assert Finder(dataset, "main", descriptor, strange).described.tolist() == [True, False, False, False, False]
 
 
-def test_a_network_that_does_not_load_or_fit_is_named(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_a_network_that_does_not_load_or_fit_is_named(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     publish_network(dataset)
     descriptor = find(dataset, DescriptorNet)
     assert descriptor is not None
@@ -89,8 +89,8 @@ def test_a_network_that_does_not_load_or_fit_is_named(tmp_path):
         Finder(dataset, "main", descriptor, picks)
 
 
-def test_a_variant_of_tracks_alone_is_seen_with_the_network_it_was_made_with(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_a_variant_of_tracks_alone_is_seen_with_the_network_it_was_made_with(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     assert network_of(dataset, "main") is None
     publish_network(dataset)
     dataset.add_variant(KeypointTrack, "expectation", Variant())

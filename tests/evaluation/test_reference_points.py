@@ -11,13 +11,12 @@ from bask_data.evaluation.lookup import find_recording
 from bask_data.evaluation.reference_points import BEHIND, OUTSIDE, SEEN, UNKNOWN, TruePlaces, reference_points
 from bask_data.kinds import Pick, ReferenceKeypoints, Truth, VisibleMasks
 from bask_data.kinds.truth import TruthMetadata
-from tests.datasets import publish_artifact
+from tests.datasets import copied, publish_artifact
 from tests.report.filled import (
     HEIGHT,
     LABELS,
     WIDTH,
     Views,
-    filled_dataset,
     make_views,
     publish_frames,
     publish_network,
@@ -28,8 +27,8 @@ from tests.report.filled import (
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    dataset = filled_dataset(tmp_path_factory.mktemp("full") / "dataset")
+def dataset(filled: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    dataset = copied(filled, tmp_path_factory.mktemp("full") / "dataset")
     publish_network(dataset)
     return dataset
 
@@ -82,8 +81,8 @@ def test_a_point_outside_the_image_is_said_to_be_so(dataset):
     assert told.states == [OUTSIDE]
 
 
-def test_objects_are_known_by_their_names_not_their_numbers(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_objects_are_known_by_their_names_not_their_numbers(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     scan, demonstration = make_views(0.3, 6), make_views(0.8, 5)
     renumbered = dict(zip(LABELS[::-1], demonstration.world_from_boxes, strict=True))
 
@@ -97,8 +96,8 @@ def test_objects_are_known_by_their_names_not_their_numbers(tmp_path):
     np.testing.assert_allclose(places[0], true_places(scan, demonstration), atol=1e-3)
 
 
-def test_objects_that_move_take_their_points_along(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_objects_that_move_take_their_points_along(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     scan, demonstration = make_views(0.3, 6), make_views(0.8, 5)
     poses = np.tile(np.stack(demonstration.world_from_boxes), (5, 1, 1, 1))
     poses[:, 0, 2, 3] += 0.02 * np.arange(5)
@@ -124,8 +123,8 @@ def test_objects_that_move_take_their_points_along(tmp_path):
         np.testing.assert_allclose(told.uv, expected, atol=0.05)
 
 
-def test_what_is_not_known_is_said_so(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_what_is_not_known_is_said_so(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     seen = make_views(0.8, 5)
     labels = {"wrist": (5, (HEIGHT, WIDTH), seen.labels)}
     publish_artifact(dataset, Truth, "demo-a", lambda out: Truth.write(out, {LABELS[0]: "stems"}, labels))
@@ -161,8 +160,8 @@ def test_without_reference_keypoints_points_lie_well_inside_the_objects_of_one_f
         assert np.ptp(mine, axis=0).max() > 0.5 * extent, "spread over the object"
 
 
-def test_each_set_of_objects_has_points_of_its_own_with_the_names_of_its_objects(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_each_set_of_objects_has_points_of_its_own_with_the_names_of_its_objects(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     seen = make_views(0.5, 6)
     for name, label_name in (("scan-b", "tissue box"), ("scan-c", "toaster")):
         publish_frames(dataset, name, seen)

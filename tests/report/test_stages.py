@@ -18,24 +18,19 @@ from bask_data.evaluation.artifact_figures import view_changes
 from bask_data.kinds import Demonstration, Truth
 from bask_data.kinds.masks import CameraMasks
 from bask_data.report import measure, summarise, write_report
-from tests.datasets import publish_artifact
-from tests.report.filled import HEIGHT, LABELS, WIDTH, filled_dataset, make_views, publish_frames, publish_scene
+from tests.datasets import copied, publish_artifact
+from tests.report.filled import HEIGHT, LABELS, WIDTH, make_views, publish_frames, publish_scene
 from tests.report.test_report import Page
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return filled_dataset(tmp_path_factory.mktemp("full") / "dataset")
+def found(filled: Dataset) -> dict:
+    return json.loads(json.dumps(summarise(filled), allow_nan=False))
 
 
 @pytest.fixture(scope="module")
-def found(dataset: Dataset) -> dict:
-    return json.loads(json.dumps(summarise(dataset), allow_nan=False))
-
-
-@pytest.fixture(scope="module")
-def page(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Page:
-    return page_of(dataset, tmp_path_factory.mktemp("page"))
+def page(filled: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Page:
+    return page_of(filled, tmp_path_factory.mktemp("page"))
 
 
 def page_of(dataset: Dataset, folder: Path) -> Page:
@@ -45,7 +40,7 @@ def page_of(dataset: Dataset, folder: Path) -> Page:
 # Reconstruction and objects -------------------------------------------------------------------------------------------
 
 
-def test_frames_that_the_mesh_does_not_explain_stand_out(dataset, found, page, tmp_path):
+def test_frames_that_the_mesh_does_not_explain_stand_out(filled, found, page, tmp_path):
     suspects = found["reconstruction"]["scan-a"]["suspect_frames"]
     assert [(row["camera"], row["frame"]) for row in suspects] == [("wrist", 3)]
     assert suspects[0]["residual_abs"] == pytest.approx(0.03)
@@ -54,7 +49,7 @@ def test_frames_that_the_mesh_does_not_explain_stand_out(dataset, found, page, t
     assert "5 of 6 frames fused 1 without depth 90 % of the measurements lie on the mesh" in page.text
     assert "2.0 % of the surface seen from behind only" in page.text
     assert "frame 4 of wrist was left out" in page.text
-    html = write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8")
+    html = write_report(filled, tmp_path / "r.html").read_text(encoding="utf-8")
     plot = html[html.index("How far each frame is from the mesh") :]
     assert "#e0453a" in plot[: plot.index("</figure>")], "a red dot"
 
@@ -78,8 +73,8 @@ def test_planes_and_near_neighbours_are_told(found, page):
 # Masks ----------------------------------------------------------------------------------------------------------------
 
 
-def test_touching_bodies_count_as_one_and_the_robot_as_none(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_touching_bodies_count_as_one_and_the_robot_as_none(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     seen = make_views(0.3, 6)
 
     def labels(i_frame: int) -> np.ndarray:
@@ -126,7 +121,7 @@ def test_inferred_pixels_are_hatched():
     assert 0.2 < changed[5:35, 32:58].mean() < 0.5
 
 
-def test_masks_are_looked_at_once_for_page_and_json(dataset, tmp_path, monkeypatch):
+def test_masks_are_looked_at_once_for_page_and_json(filled, tmp_path, monkeypatch):
     looked: list[tuple[str, int]] = []
     read = CameraMasks.instance
 
@@ -135,19 +130,19 @@ def test_masks_are_looked_at_once_for_page_and_json(dataset, tmp_path, monkeypat
         return read(self, i_frame)
 
     monkeypatch.setattr(CameraMasks, "instance", counted)
-    measure(dataset).masks("scan-a")
+    measure(filled).masks("scan-a")
     assert len(looked) == 6
     looked.clear()
     # Three sizes are tried before a page this large is given up on.
     monkeypatch.setattr("bask_data.report.page.MOST_PAGE_BYTES", 1)
-    ended = CliRunner().invoke(app, ["report", str(dataset.root), "--out", str(tmp_path / "r.html"), "--json"])
+    ended = CliRunner().invoke(app, ["report", str(filled.root), "--out", str(tmp_path / "r.html"), "--json"])
     assert json.loads(ended.stdout)["masks"]["scan-a"]["n_frames"] == 6
     assert len(looked) == 6 + 6 + 4 + 2, "once to measure, and what each size of the page shows"
 
 
-def test_of_long_recordings_frames_spread_over_them_are_looked_at(tmp_path, monkeypatch):
+def test_of_long_recordings_frames_spread_over_them_are_looked_at(filled: Dataset, tmp_path, monkeypatch):
     monkeypatch.setattr("bask_data.evaluation.artifact_figures.MOST_MEASURED", 3)
-    dataset = filled_dataset(tmp_path / "d")
+    dataset = copied(filled, tmp_path / "d")
     masks = summarise(dataset)["masks"]["scan-a"]
     assert (masks["n_frames"], masks["n_measured_frames"], masks["n_labelled_frames"]) == (6, 3, 3)
     assert "Pixels are counted in 3 frames." in page_of(dataset, tmp_path).text

@@ -38,7 +38,7 @@ from bask_data.kinds import (
 from bask_data.view import saving
 from bask_data.view.choice import Choice, Shown
 from bask_data.view.saving import save_recording
-from tests.datasets import publish_artifact, publish_recording
+from tests.datasets import copied, publish_artifact, publish_recording
 from tests.report.filled import HEIGHT, WIDTH, filled_dataset, publish_network
 from tests.view.recordings import Recording, colours, publish_demonstration
 
@@ -56,14 +56,9 @@ WRIST = "/scan-a/world/cameras/wrist"
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return filled_dataset(tmp_path_factory.mktemp("full") / "dataset")
-
-
-@pytest.fixture(scope="module")
-def shown(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Shown], Recording]:
+def shown(filled: Dataset, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Shown], Recording]:
     file = tmp_path_factory.mktemp("saved") / "deep" / "all.rrd"
-    shown = save_recording(dataset, file, Choice(dataset.items("recording")))
+    shown = save_recording(filled, file, Choice(filled.items("recording")))
     assert [one.name for one in file.parent.iterdir()] == ["all.rrd"]
     return shown, Recording(file)
 
@@ -133,8 +128,8 @@ def test_what_is_not_made_yet_is_named_with_the_command_that_makes_it(tmp_path):
 
 
 @pytest.mark.parametrize(("every", "frames"), [(1, [0, 1, 2, 3, 4, 5]), (2, [0, 2, 4]), (4, [0, 4]), (99, [0])])
-def test_each_so_many_th_frame_is_shown(dataset, tmp_path, every, frames):
-    found, saved = save(dataset, tmp_path, "scan-a", every=every)
+def test_each_so_many_th_frame_is_shown(filled, tmp_path, every, frames):
+    found, saved = save(filled, tmp_path, "scan-a", every=every)
     assert found["scan-a"].frames == {"wrist": len(frames)}
     for path, component in (
         (WRIST, "Transform3D:mat3x3"),
@@ -147,8 +142,8 @@ def test_each_so_many_th_frame_is_shown(dataset, tmp_path, every, frames):
         assert saved.times[path] - {"log_time"} == {"frame", "time"}
 
 
-def test_only_the_chosen_items_are_there(dataset, tmp_path):
-    found, saved = save(dataset, tmp_path, "demo-a")
+def test_only_the_chosen_items_are_there(filled, tmp_path):
+    found, saved = save(filled, tmp_path, "demo-a")
     assert list(found) == ["demo-a"]
     assert {path.split("/")[1] for path in saved.entities} == {"demo-a", "__properties"}
 
@@ -156,9 +151,9 @@ def test_only_the_chosen_items_are_there(dataset, tmp_path):
 # Cameras --------------------------------------------------------------------------------------------------------------
 
 
-def test_the_stored_camera_takes_world_points_to_the_pixels_that_show_them(dataset, saved):
+def test_the_stored_camera_takes_world_points_to_the_pixels_that_show_them(filled, saved):
     """Rerun: a child's transform takes its coordinates to its parent's, and pixel centres lie at +0.5."""
-    camera = Scan(dataset.path(Scan, "scan-a")).cameras[0]
+    camera = Scan(filled.path(Scan, "scan-a")).cameras[0]
     K = saved.array(WRIST, "Pinhole:image_from_camera")[0].reshape(3, 3, order="F")
     assert saved.array(WRIST, "Pinhole:resolution")[0].tolist() == [WIDTH, HEIGHT]
     for i_frame in range(camera.n_frames):
@@ -176,10 +171,10 @@ def test_the_stored_camera_takes_world_points_to_the_pixels_that_show_them(datas
     np.testing.assert_allclose(path, camera.world_from_cameras[:, :3, 3], atol=1e-6)
 
 
-def test_images_are_as_recorded(dataset, saved):
-    camera = Scan(dataset.path(Scan, "scan-a")).cameras[0]
-    masks = VisibleMasks(dataset.path(VisibleMasks, "scan-a")).camera("wrist")
-    truth = Truth(dataset.path(Truth, "scan-a"))
+def test_images_are_as_recorded(filled, saved):
+    camera = Scan(filled.path(Scan, "scan-a")).cameras[0]
+    masks = VisibleMasks(filled.path(VisibleMasks, "scan-a")).camera("wrist")
+    truth = Truth(filled.path(Truth, "scan-a"))
     for i in range(camera.n_frames):
         decoded = cv2.imdecode(saved.bytes(f"{WRIST}/rgb", "EncodedImage:blob", i), cv2.IMREAD_COLOR)
         assert decoded.shape == (HEIGHT, WIDTH, 3)
@@ -203,8 +198,8 @@ def classes(saved: Recording, path: str) -> dict[int, tuple[str, int]]:
     return {info["id"]: (info["label"], info["color"]) for info in infos}
 
 
-def test_labels_have_the_names_and_colours_of_their_objects(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_labels_have_the_names_and_colours_of_their_objects(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     labels = np.zeros((HEIGHT, WIDTH), np.uint8)
     names = {3: "lid", 255: "gripper", 300: "no image holds it"}
     size = (6, (HEIGHT, WIDTH), lambda i: labels)
@@ -224,9 +219,9 @@ def test_labels_have_the_names_and_colours_of_their_objects(tmp_path):
 # Surfaces -------------------------------------------------------------------------------------------------------------
 
 
-def test_the_surface_has_its_colours_and_the_instances_theirs(dataset, saved):
-    mesh = Reconstruction(dataset.path(Reconstruction, "scan-a"))
-    instance = ObjectInstances(dataset.path(ObjectInstances, "scan-a")).vertex_instance
+def test_the_surface_has_its_colours_and_the_instances_theirs(filled, saved):
+    mesh = Reconstruction(filled.path(Reconstruction, "scan-a"))
+    instance = ObjectInstances(filled.path(ObjectInstances, "scan-a")).vertex_instance
     for layer in ("surface", "instances"):
         path = f"/scan-a/world/{layer}"
         np.testing.assert_array_equal(saved.array(path, "Mesh3D:vertex_positions"), mesh.vertices)
@@ -248,9 +243,9 @@ def test_normals_point_out_of_the_table(saved):
     assert (np.median(normals[flat], axis=0) @ [0, 0, 1]) == pytest.approx(1, abs=0.01)
 
 
-def test_boxes_hold_their_objects(dataset, saved):
-    mesh = Reconstruction(dataset.path(Reconstruction, "scan-a"))
-    instance = ObjectInstances(dataset.path(ObjectInstances, "scan-a")).vertex_instance
+def test_boxes_hold_their_objects(filled, saved):
+    mesh = Reconstruction(filled.path(Reconstruction, "scan-a"))
+    instance = ObjectInstances(filled.path(ObjectInstances, "scan-a")).vertex_instance
     path = "/scan-a/world/boxes"
     centres, halves = saved.array(path, "Boxes3D:centers"), saved.array(path, "Boxes3D:half_sizes")
     assert saved.all(path, "Boxes3D:labels")[None] == ["object 1", "object 2"]
@@ -260,8 +255,8 @@ def test_boxes_hold_their_objects(dataset, saved):
         np.testing.assert_allclose(centres[i - 1] + halves[i - 1], points.max(axis=0), atol=1e-6)
 
 
-def test_instances_of_another_reconstruction_are_named_and_not_drawn(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_instances_of_another_reconstruction_are_named_and_not_drawn(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     row = InstanceRow(id=1, n_vertices=9, area_m2=0.01, centroid=(0, 0, 0), extents=(0.1, 0.1, 0.1))
     publish_artifact(dataset, ObjectInstances, "scan-a", lambda out: _write_objects(out, np.ones(7, np.int32), [row]))
     found, saved = save(dataset, tmp_path, "scan-a")
@@ -278,9 +273,9 @@ def _write_objects(out: Path, instance: np.ndarray, rows: list[InstanceRow]) -> 
 # Matches --------------------------------------------------------------------------------------------------------------
 
 
-def test_lines_join_matches_and_their_points_are_seen_by_both_views(dataset, saved):
-    camera = Scan(dataset.path(Scan, "scan-a")).cameras[0]
-    found = Correspondences(dataset.path(Correspondences, "scan-a"))
+def test_lines_join_matches_and_their_points_are_seen_by_both_views(filled, saved):
+    camera = Scan(filled.path(Scan, "scan-a")).cameras[0]
+    found = Correspondences(filled.path(Correspondences, "scan-a"))
     shift = WIDTH + 8
     for row in found.pairs().to_pylist():
         table = found.matches([row["pair"]]).to_pydict()
@@ -304,19 +299,19 @@ def test_lines_join_matches_and_their_points_are_seen_by_both_views(dataset, sav
         assert alike(beside[:, shift:], camera.rgb(row["frame_b"]))
 
 
-def test_no_more_pairs_than_asked_for_are_shown(dataset, tmp_path):
-    found, saved = save(dataset, tmp_path, "scan-a", n_pairs=2)
+def test_no_more_pairs_than_asked_for_are_shown(filled, tmp_path):
+    found, saved = save(filled, tmp_path, "scan-a", n_pairs=2)
     assert "matches of 2 of 3 pairs" in found["scan-a"].layers
     assert sorted(saved.all("/scan-a/matches/lines", "LineStrips2D:strips")) == [0, 2]
-    found, saved = save(dataset, tmp_path, "scan-a", n_pairs=0)
+    found, saved = save(filled, tmp_path, "scan-a", n_pairs=0)
     assert "/scan-a/matches/lines" not in saved.entities
 
 
 # Demonstrations -------------------------------------------------------------------------------------------------------
 
 
-def test_keypoints_stand_where_the_filter_thinks_with_its_one_sigma_ellipsoid(dataset, saved):
-    track = KeypointTrack(dataset.path(KeypointTrack, "demo-a"))
+def test_keypoints_stand_where_the_filter_thinks_with_its_one_sigma_ellipsoid(filled, saved):
+    track = KeypointTrack(filled.path(KeypointTrack, "demo-a"))
     assert sorted(saved.all("/demo-a/world/keypoints", "Points3D:positions")) == list(range(5))
     for i in range(5):
         mean = saved.array("/demo-a/world/keypoints", "Points3D:positions", i)
@@ -347,8 +342,8 @@ def test_turned_ellipsoids_have_the_covariance_they_show():
     np.testing.assert_allclose(again, covariance, atol=1e-9)
 
 
-def test_keypoints_that_are_not_localised_are_left_out(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_keypoints_that_are_not_localised_are_left_out(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     mean = np.zeros((5, 2, 3), np.float32)
     mean[:, :, 0] = np.arange(5)[:, None]
     mean[2, 0] = np.nan
@@ -376,8 +371,8 @@ def test_keypoints_that_are_not_localised_are_left_out(tmp_path):
     assert all(shown[i] == ["a"] for i in range(5)), "behind the camera"
 
 
-def test_the_gripper_moves_and_its_width_and_actions_are_plotted(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_the_gripper_moves_and_its_width_and_actions_are_plotted(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     poses = np.tile(np.eye(4), (5, 1, 1))
     poses[:, :3, 3] = np.arange(15).reshape(5, 3) / 10
     poses[:, :3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
@@ -401,8 +396,8 @@ def test_the_gripper_moves_and_its_width_and_actions_are_plotted(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def described(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    dataset = filled_dataset(tmp_path_factory.mktemp("described") / "dataset")
+def described(filled: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    dataset = copied(filled, tmp_path_factory.mktemp("described") / "dataset")
     publish_network(dataset)
     return dataset
 
@@ -451,8 +446,8 @@ def test_of_long_recordings_some_frames_have_heat_maps(described, tmp_path, monk
     assert sorted(saved.all(f"/scan-a/heat/wrist/{escaped('1 corner')}/map", "EncodedImage:blob")) == [0, 4]
 
 
-def test_points_of_objects_that_are_not_there_have_no_heat_maps(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_points_of_objects_that_are_not_there_have_no_heat_maps(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     publish_network(dataset)
     size = {"wrist": (5, (HEIGHT, WIDTH), lambda _: np.zeros((HEIGHT, WIDTH), np.uint8))}
     for names, points in (({1: "tissue box"}, ["2 side"]), ({}, [])):
@@ -466,19 +461,19 @@ def test_points_of_objects_that_are_not_there_have_no_heat_maps(tmp_path):
 # Files ----------------------------------------------------------------------------------------------------------------
 
 
-def test_a_file_is_replaced_only_if_asked_to_and_at_once(dataset, tmp_path):
+def test_a_file_is_replaced_only_if_asked_to_and_at_once(filled, tmp_path):
     file = tmp_path / "a.rrd"
     file.write_text("mine")
     with pytest.raises(WouldOverwrite, match="--force replaces it"):
-        save_recording(dataset, file, Choice(["scan-a"]))
+        save_recording(filled, file, Choice(["scan-a"]))
     assert file.read_text() == "mine"
-    save_recording(dataset, file, Choice(["scan-a"], every=9), force=True)
+    save_recording(filled, file, Choice(["scan-a"], every=9), force=True)
     assert len(Recording(file).entities) > 5
     assert [one.name for one in tmp_path.iterdir()] == ["a.rrd"]
 
 
-def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_what_fails_leaves_the_old_file_and_nothing_else(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     (tmp_path / "out").mkdir()
     file = tmp_path / "out" / "a.rrd"
     file.write_text("mine")
@@ -493,10 +488,10 @@ def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"), [("a.txt", "expected a name that ends in .rrd"), ("d.rrd", "expected a file, got a directory")]
 )
-def test_the_viewer_could_not_open_such_a_file(dataset, tmp_path, name, message):
+def test_the_viewer_could_not_open_such_a_file(filled, tmp_path, name, message):
     (tmp_path / "d.rrd").mkdir()
     with pytest.raises(UsageError, match=message):
-        save_recording(dataset, tmp_path / name, Choice(["scan-a"]), force=True)
+        save_recording(filled, tmp_path / name, Choice(["scan-a"]), force=True)
 
 
 def test_nothing_to_show_is_said_so(tmp_path):
@@ -509,20 +504,20 @@ def test_nothing_to_show_is_said_so(tmp_path):
     assert not (tmp_path / "a.rrd").exists()
 
 
-def test_rerun_switched_off_is_said_so(dataset, tmp_path):
+def test_rerun_switched_off_is_said_so(filled, tmp_path):
     code = f"""
 from pathlib import Path
 from types import SimpleNamespace
 from bask_data.dataset import Dataset
 from bask_data.view.choice import Choice
 from bask_data.view.saving import save_recording
-save_recording(Dataset({str(dataset.root)!r}), Path({str(tmp_path / "a.rrd")!r}), Choice(["scan-a"]))
+save_recording(Dataset({str(filled.root)!r}), Path({str(tmp_path / "a.rrd")!r}), Choice(["scan-a"]))
 """
     ended = subprocess.run([sys.executable, "-c", code], env={"RERUN": "off"}, capture_output=True, text=True)
     assert "RERUN: environment: expected on, or not set, got off.  fix: unset RERUN" in ended.stderr
 
 
-def test_a_full_disk_is_an_error_and_leaves_nothing(dataset, tmp_path):
+def test_a_full_disk_is_an_error_and_leaves_nothing(filled, tmp_path):
     code = f"""
 import resource
 from pathlib import Path
@@ -530,7 +525,7 @@ from types import SimpleNamespace
 from bask_data.dataset import Dataset
 from bask_data.view.choice import Choice
 from bask_data.view.saving import save_recording
-dataset = Dataset({str(dataset.root)!r})
+dataset = Dataset({str(filled.root)!r})
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 save_recording(dataset, Path({str(tmp_path / "a.rrd")!r}), Choice(["scan-a"]))
 """
@@ -718,8 +713,8 @@ def _break_track(dataset: Dataset) -> None:
         (_break_track, r"keypoints/main/demo-a: mean: expected shape 1 x 1 x 3, got \(1, 2, 3\)"),
     ],
 )
-def test_what_does_not_hold_together_is_our_error(tmp_path, spoil, message):
-    dataset = filled_dataset(tmp_path / "d")
+def test_what_does_not_hold_together_is_our_error(filled: Dataset, tmp_path, spoil, message):
+    dataset = copied(filled, tmp_path / "d")
     spoil(dataset)
     with pytest.raises(BadData, match=message):
         save_recording(dataset, tmp_path / "a.rrd", Choice(dataset.items("recording")))

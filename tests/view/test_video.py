@@ -14,15 +14,9 @@ from bask_data.errors import BaskError, UsageError, WouldOverwrite
 from bask_data.kinds import Demonstration, KeypointTrack
 from bask_data.view import video
 from bask_data.view.video import LINE, VIDEO_WIDTH, write_videos
-from tests.datasets import publish_artifact
-from tests.report.filled import filled_dataset
+from tests.datasets import copied, publish_artifact
 
 av = pytest.importorskip("av")
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return filled_dataset(tmp_path_factory.mktemp("video") / "d")
 
 
 def frames_of(file: Path) -> tuple[list[np.ndarray], float]:
@@ -39,14 +33,14 @@ def is_near(picture: np.ndarray, centre: np.ndarray, colour: tuple[int, int, int
 
 
 def test_a_video_shows_each_frame_in_real_time_with_dots_for_what_is_seen_and_rings_for_the_rest(
-    dataset: Dataset, tmp_path: Path
+    filled: Dataset, tmp_path: Path
 ) -> None:
-    files = write_videos(dataset, tmp_path / "deep" / "v", ["scan-a", "demo-a"])
+    files = write_videos(filled, tmp_path / "deep" / "v", ["scan-a", "demo-a"])
     assert files == {"demo-a": tmp_path / "deep" / "v" / "demo-a.mp4"}
     assert [one.name for one in files["demo-a"].parent.iterdir()] == ["demo-a.mp4"]
     pictures, rate = frames_of(files["demo-a"])
-    track = KeypointTrack(dataset.path(KeypointTrack, "demo-a"))
-    camera = Demonstration(dataset.path(Demonstration, "demo-a")).camera("wrist")
+    track = KeypointTrack(filled.path(KeypointTrack, "demo-a"))
+    camera = Demonstration(filled.path(Demonstration, "demo-a")).camera("wrist")
     assert (len(pictures), rate) == (5, 30.0)
     height = round(camera.height * VIDEO_WIDTH / camera.width)
     seen, hidden = palette(2)
@@ -60,13 +54,13 @@ def test_a_video_shows_each_frame_in_real_time_with_dots_for_what_is_seen_and_ri
         assert is_near(picture, ring, hidden, 0.8)
 
 
-def test_each_so_many_th_frame_keeps_the_time(dataset: Dataset, tmp_path: Path) -> None:
-    pictures, rate = frames_of(write_videos(dataset, tmp_path, ["demo-a"], every=2)["demo-a"])
+def test_each_so_many_th_frame_keeps_the_time(filled: Dataset, tmp_path: Path) -> None:
+    pictures, rate = frames_of(write_videos(filled, tmp_path, ["demo-a"], every=2)["demo-a"])
     assert (len(pictures), rate) == (3, 15.0)
 
 
-def test_what_is_outside_of_the_image_points_from_its_edge(tmp_path: Path) -> None:
-    dataset = filled_dataset(tmp_path / "d")
+def test_what_is_outside_of_the_image_points_from_its_edge(filled: Dataset, tmp_path: Path) -> None:
+    dataset = copied(filled, tmp_path / "d")
 
     def fill(out: Path) -> None:
         with KeypointTrack.writer(out, names=["away"], filter="particle", cameras=["wrist"]) as writer:
@@ -86,39 +80,37 @@ def test_what_is_outside_of_the_image_points_from_its_edge(tmp_path: Path) -> No
     assert is_near(pictures[2], np.array([VIDEO_WIDTH - 12, LINE + 48.5 * VIDEO_WIDTH / 128 - 0.5]), colour, 1.0)
 
 
-def test_a_video_is_replaced_only_if_asked_to(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    [file] = write_videos(dataset, tmp_path, ["demo-a"]).values()
+def test_a_video_is_replaced_only_if_asked_to(filled: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    [file] = write_videos(filled, tmp_path, ["demo-a"]).values()
     before = file.read_bytes()
     with pytest.raises(WouldOverwrite, match=r"demo-a.mp4: expected no file, got one.  fix: --force replaces it"):
-        write_videos(dataset, tmp_path, ["demo-a"])
-    assert write_videos(dataset, tmp_path, ["demo-a"], force=True)["demo-a"].read_bytes() == before
+        write_videos(filled, tmp_path, ["demo-a"])
+    assert write_videos(filled, tmp_path, ["demo-a"], force=True)["demo-a"].read_bytes() == before
     monkeypatch.setattr(video, "_picture", lambda *_: 1 / 0)
     with pytest.raises(Exception, match="division"):
-        write_videos(dataset, tmp_path, ["demo-a"], force=True)
+        write_videos(filled, tmp_path, ["demo-a"], force=True)
     assert file.read_bytes() == before
     assert [one.name for one in tmp_path.iterdir()] == ["demo-a.mp4"]
 
 
-def test_a_place_where_nothing_can_be_written_is_told(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_place_where_nothing_can_be_written_is_told(filled: Dataset, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(BaskError, match="expected a place that takes all, got .*Not a directory"):
-        write_videos(dataset, tmp_path / "file" / "v", ["demo-a"])
-    answer = CliRunner().invoke(app, ["view", str(dataset.root), "--video", "/proc/zz"])
+        write_videos(filled, tmp_path / "file" / "v", ["demo-a"])
+    answer = CliRunner().invoke(app, ["view", str(filled.root), "--video", "/proc/zz"])
     assert answer.exit_code == 1
     assert "/proc/zz: expected a place that takes all" in " ".join(answer.stderr.split())
 
 
-def test_without_a_track_there_is_no_video(dataset: Dataset, tmp_path: Path) -> None:
+def test_without_a_track_there_is_no_video(filled: Dataset, tmp_path: Path) -> None:
     with pytest.raises(
         UsageError, match=r"--video: expected a demonstration with keypoints \(main\), got none of scan-a"
     ):
-        write_videos(dataset, tmp_path, ["scan-a"])
+        write_videos(filled, tmp_path, ["scan-a"])
 
 
-def test_the_command_writes_videos(dataset: Dataset, tmp_path: Path) -> None:
-    answer = CliRunner().invoke(app, ["view", str(dataset.root), "--video", str(tmp_path), "--json"])
+def test_the_command_writes_videos(filled: Dataset, tmp_path: Path) -> None:
+    answer = CliRunner().invoke(app, ["view", str(filled.root), "--video", str(tmp_path), "--json"])
     assert answer.exit_code == 0, answer.stderr
     assert json.loads(answer.stdout)["videos"] == {"demo-a": str(tmp_path / "demo-a.mp4")}
     assert (tmp_path / "demo-a.mp4").exists()

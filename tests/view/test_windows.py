@@ -14,13 +14,9 @@ from bask_data.dataset import Dataset, Variant
 from bask_data.errors import BaskError, UsageError
 from bask_data.kinds import DescriptorNet
 from bask_data.view.windows import has_display, serve, show
-from tests.report.filled import filled_dataset, publish_network
+from tests.datasets import copied
+from tests.report.filled import publish_network
 from tests.view.recordings import Recording
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return filled_dataset(tmp_path_factory.mktemp("full") / "dataset")
 
 
 @pytest.fixture(autouse=True)
@@ -108,15 +104,15 @@ def test_a_port_that_is_taken_is_said_so(tmp_path, which):
 # The command ----------------------------------------------------------------------------------------------------------
 
 
-def test_without_a_display_one_is_told_what_to_do(dataset):
-    ended = view(dataset.root)
+def test_without_a_display_one_is_told_what_to_do(filled):
+    ended = view(filled.root)
     assert ended.exit_code == 2
     assert ended.stderr == (
         "error: view: expected a display to open a window on, got none.  fix: use --web, or --save FILE.rrd.\n"
     )
 
 
-def test_with_a_display_the_viewer_is_opened_and_its_file_goes_afterwards(dataset, monkeypatch):
+def test_with_a_display_the_viewer_is_opened_and_its_file_goes_afterwards(filled, monkeypatch):
     seen: list[Path] = []
 
     def look(file: Path) -> None:
@@ -125,13 +121,13 @@ def test_with_a_display_the_viewer_is_opened_and_its_file_goes_afterwards(datase
 
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr("bask_data.view.windows.show", look)
-    assert view(dataset.root, "--every", "9").exit_code == 0
+    assert view(filled.root, "--every", "9").exit_code == 0
     assert [file.name for file in seen] == ["dataset.rrd"]
     assert not seen[0].exists()
 
 
-def test_what_is_shown_and_what_is_not_is_told_to_people_and_scripts(dataset, tmp_path):
-    ended = view(dataset.root, "--save", tmp_path / "a.rrd", "--only", "demo-a,scan-a", "--every", "2", "--json")
+def test_what_is_shown_and_what_is_not_is_told_to_people_and_scripts(filled, tmp_path):
+    ended = view(filled.root, "--save", tmp_path / "a.rrd", "--only", "demo-a,scan-a", "--every", "2", "--json")
     assert ended.exit_code == 0
     told = json.loads(ended.stdout)
     assert (told["command"], told["file"], told["bytes"]) == (
@@ -146,8 +142,8 @@ def test_what_is_shown_and_what_is_not_is_told_to_people_and_scripts(dataset, tm
     assert f"open it with: rerun {tmp_path / 'a.rrd'}" in ended.stderr
 
 
-def test_a_network_s_variant_may_be_shown(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_a_network_s_variant_may_be_shown(filled: Dataset, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     dataset.add_variant(DescriptorNet, "florence", Variant())
     publish_network(dataset, variant="florence")
     ended = view(dataset.root, "--variant", "florence", "--save", tmp_path / "a.rrd", "--only", "scan-a", "--json")
@@ -167,14 +163,14 @@ def test_a_network_s_variant_may_be_shown(tmp_path):
         (["--every", "0", "--save", "a.rrd"], 2, "--every: expected a whole number of at least 1, got '0'"),
     ],
 )
-def test_errors_have_a_code_and_a_remedy(dataset, arguments, code, message):
-    ended = view(dataset.root, *arguments)
+def test_errors_have_a_code_and_a_remedy(filled, arguments, code, message):
+    ended = view(filled.root, *arguments)
     assert (ended.exit_code, message in ended.stderr) == (code, True), ended.stderr
 
 
-def test_an_existing_file_is_refused(dataset, tmp_path):
+def test_an_existing_file_is_refused(filled, tmp_path):
     (tmp_path / "a.rrd").write_text("mine")
-    ended = view(dataset.root, "--save", tmp_path / "a.rrd")
+    ended = view(filled.root, "--save", tmp_path / "a.rrd")
     assert ended.exit_code == 3
     assert "--force replaces it" in ended.stderr
 
@@ -185,8 +181,8 @@ def test_an_empty_dataset_has_nothing_to_show(tmp_path):
     assert "expected a recording, got none in the dataset.  fix: bask-data ingest --help" in ended.stderr
 
 
-def test_without_rerun_one_is_told_what_to_install(dataset, tmp_path, monkeypatch):
+def test_without_rerun_one_is_told_what_to_install(filled, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    ended = view(dataset.root, "--save", tmp_path / "a.rrd")
+    ended = view(filled.root, "--save", tmp_path / "a.rrd")
     assert ended.exit_code == 5
     assert "expected the Rerun SDK, got none.  fix: pip install 'bask-data[view]'" in ended.stderr
