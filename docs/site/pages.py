@@ -63,15 +63,15 @@ LAYERS = {
 """What the drawing of the layers says beside a line; only of what needs saying."""
 
 SUBJECTS = {
-    "00": "Data and parameters",
-    "01": "Set-up and tests",
-    "02": "Keypoint filters",
-    "03": "Scenes, masks and matches",
-    "04": "Networks",
-    "05": "Simulator and measurements",
-    "06": "Reports, views and the picking page",
+    "000": "Data and parameters",
+    "001": "Set-up and tests",
+    "002": "Keypoint filters",
+    "003": "Scenes, masks and matches",
+    "004": "Networks",
+    "005": "Simulator and measurements",
+    "006": "Reports, views and the picking page",
 }
-"""The first two digits of a decision's number say what it is about."""
+"""The first three digits of a decision's number say what it is about."""
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
@@ -124,8 +124,8 @@ def decisions_page() -> str:
     ]
     subject = ""
     for note in decisions():
-        if SUBJECTS.get(note.name[:2], "Other") != subject:
-            subject = SUBJECTS.get(note.name[:2], "Other")
+        if SUBJECTS.get(note.name[:3], "Other") != subject:
+            subject = SUBJECTS.get(note.name[:3], "Other")
             lines += ["", f"## {subject}", ""]
         lines.append(f"- {note.name[:4]}: [{title_of(note)}]({note.name})")
     return "\n".join(lines) + "\n"
@@ -205,16 +205,16 @@ def layers_drawing() -> str:
     [layers] = [each["layers"] for each in project["tool"]["importlinter"]["contracts"] if each["id"] == "layers"]
     height = 34 * len(layers) + 16
     lines = [
-        f'<div class="drawing"><svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1000 {height}" role="img">',
+        f'<div class="drawing"><svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1040 {height}" role="img">',
         f'<title>The layers</title><path class="down" d="M14 12V{height - 12}m-5 -8l5 8l5 -8"/>',
     ]
     for i, layer in enumerate(layers):
         names = re.findall(r"\w+", layer)
         said = "; ".join(LAYERS[name] for name in names if name in LAYERS)
         y = 8 + 34 * i
-        lines.append(f'<rect x="30" y="{y}" width="430" height="28" rx="3"/>')
-        lines.append(f'<text class="name" x="245" y="{y + 19}" text-anchor="middle">{" · ".join(names)}</text>')
-        lines.append(f'<text x="476" y="{y + 19}">{said}</text>')
+        lines.append(f'<rect x="30" y="{y}" width="460" height="28" rx="3"/>')
+        lines.append(f'<text class="name" x="260" y="{y + 19}" text-anchor="middle">{" · ".join(names)}</text>')
+        lines.append(f'<text x="504" y="{y + 19}">{said}</text>')
     return "".join([*lines, "</svg></div>"])
 
 
