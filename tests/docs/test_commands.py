@@ -152,26 +152,49 @@ def test_python_that_a_page_shows_is_python(page: Path) -> None:
             compile(block.code, name_of(page), "exec")
 
 
-def test_the_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    options = write_recording(tmp_path / "files")
-    Path("my_dataset").mkdir()
-    Path("my_dataset/params.yaml").write_text(yaml.safe_dump(PARAMS))
+@pytest.fixture(scope="module")
+def place_with_a_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with `my_dataset`: a scan `table1` and a demonstration `demo1`, everything made."""
+    place = tmp_path_factory.mktemp("pages")
+    data, files = str(place / "my_dataset"), str(place / "files")
+    options = write_recording(place / "files")
+    (place / "my_dataset").mkdir()
+    (place / "my_dataset" / "params.yaml").write_text(yaml.safe_dump(PARAMS))
     for words in (
-        ["ingest", "frames", "files", "my_dataset", "--scene", "table1", *options],
-        ["ingest", "frames", "files", "my_dataset", "--scene", "demo1", "--as", "demonstration", *options],
-        ["run", "my_dataset"],
+        ["ingest", "frames", files, data, "--scene", "table1", *options],
+        ["ingest", "frames", files, data, "--scene", "demo1", "--as", "demonstration", *options],
+        ["run", data],
     ):
         answer = CliRunner().invoke(app, words)
         assert answer.exit_code == 0, answer.output
-    [code] = [block.code for block in blocks((REPOSITORY / "README.md").read_text()) if block.language == "python"]
+    return place
+
+
+def run_python(page: Path) -> dict[str, Any]:
+    """What the Python of a page leaves behind, its blocks run one after the other."""
     names: dict[str, Any] = {}
-    exec(code, names)
+    for block in blocks(page.read_text(encoding="utf-8")):
+        if block.language == "python":
+            exec(compile(block.code, name_of(page), "exec"), names)
+    return names
+
+
+def test_the_python_of_the_readme_runs(place_with_a_dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(place_with_a_dataset)
+    names = run_python(REPOSITORY / "README.md")
     assert names["frame"].mask.shape == (HEIGHT, WIDTH)
     assert len(names["matches"]) > 0
     assert names["keypoints"].shape == (8, PARAMS["reference"]["n"], 3)
     assert next(iter(names["batches"]))["mask"].shape == (4, HEIGHT, WIDTH)
     assert names["tracked"].mean.shape == names["keypoints"][-1].shape
+
+
+def test_the_python_of_its_page_runs(place_with_a_dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(place_with_a_dataset)
+    names = run_python(REPOSITORY / "docs" / "python.md")
+    assert names["batch"]["rgb"].shape == (4, 3, HEIGHT, WIDTH)
+    assert names["first"].any() and len(names["pairs"]) > 0
+    assert names["track"].mean.shape == (8, PARAMS["reference"]["n"], 3)
 
 
 @pytest.mark.parametrize(
