@@ -2,57 +2,42 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from bask_data.cli.options import given_options, names_of
-from bask_data.cli.working import parameters_of, quoted
+from bask_data.cli.working import quoted, request_of
 from bask_data.dataset import Dataset
-from bask_data.engine import Config, Stage, Task, is_follower, plan
+from bask_data.engine import RunRequest, Stage, Task, is_follower, planned
 from bask_data.errors import UsageError
 from bask_data.pipeline import STAGES
 
 
 @dataclass(frozen=True)
 class StageCall:
-    """What one call of a stage's command asks for.
-
-    Args:
-        options: parameters given as options.
-        inputs: variants of inputs, by kind.
-    """
+    """A stage of a dataset, and what is asked of it."""
 
     dataset: Dataset
     stage: Stage
-    config: Config
-    options: dict[str, Any]
-    only: list[str]
-    variant: str
-    inputs: dict[str, str]
+    request: RunRequest
 
     def tasks(self, more: dict[str, Any] | None = None) -> list[Task]:
         """What is to be made, with further parameters over those given."""
-        return plan(
-            self.dataset,
-            self.stage,
-            config=self.config,
-            options={**self.options, **(more or {})},
-            only=self.only,
-            variant=self.variant,
-            variant_inputs=self.inputs,
-        )
+        request = replace(self.request, options={**self.request.options, **(more or {})})
+        return [task for part in planned(self.dataset, STAGES, request) for task in part.tasks]
 
     @property
     def following(self) -> str:
         """The command that goes on with what the stage makes, in the same variants."""
-        root, makes = quoted(self.dataset.root), self.stage.makes
+        root, makes, request = quoted(self.dataset.root), self.stage.makes, self.request
         later = [other for other in STAGES if makes in [given.artifact for given in other.inputs]]
         if not later:
             return f"bask-data report {root}"
         own = {given.artifact.kind for given in self.stage.inputs if given.artifact.has_variants}
         shared = [given.artifact.kind for given in later[0].inputs if given.artifact.kind in own]
-        variants = {makes.kind: self.variant, **{kind: self.inputs.get(kind, self.variant) for kind in shared}}
+        variant = request.variant or "main"
+        variants = {makes.kind: variant, **{kind: request.variant_inputs.get(kind, variant) for kind in shared}}
         words = [f"--{kind} {name}" for kind, name in variants.items() if name != "main"]
         return " ".join([f"bask-data {later[0].name} {root}", *words])
 
@@ -67,14 +52,18 @@ def call_of(stage: Stage, root: Path, options: dict[str, Any]) -> StageCall:
     if not is_follower():
         dataset.recover()
     prefix = "variant_of_"
-    return StageCall(
-        dataset=dataset,
-        stage=stage,
-        config=parameters_of(root, options["config"], options["set_"], options.get("preset")),
-        options=given_options(stage.params, options),
-        only=names_of(options.get("only", "")),
-        variant=options.get("variant", "main"),
-        inputs={
+    request = request_of(
+        root,
+        options["config"],
+        options["set_"],
+        preset=options.get("preset"),
+        defaults=options["defaults"],
+        stages=(stage.name,),
+        only=tuple(names_of(options.get("only", ""))),
+        variant=options.get("variant"),
+        variant_inputs={
             name.removeprefix(prefix): value for name, value in options.items() if name.startswith(prefix) and value
         },
+        options=given_options(stage.params, options),
     )
+    return StageCall(dataset, stage, request)

@@ -44,7 +44,7 @@ def print_result(command: str, lines: Iterable[str], document: Mapping[str, Any]
 
 def show_outcome(outcome: Outcome) -> None:
     """One line an outcome; errors in full."""
-    seconds = f"  {_duration(outcome.seconds)}" if outcome.seconds >= 0.05 else ""
+    seconds = f"  {duration(outcome.seconds)}" if outcome.seconds >= 0.05 else ""
     why = f"  ({outcome.why})" if outcome.why and outcome.status != "failed" else ""
     say(f"  {_MARKS[outcome.status]:<10}  {outcome.label}{seconds}{why}")
     if outcome.status == "failed":
@@ -129,10 +129,13 @@ class _Bar:
 
 
 def _left(elapsed: float, done: int, total: int | None) -> str:
-    return f", about {_duration(elapsed / done * (total - done))} left" if done and total else ""
+    return f", about {duration(elapsed / done * (total - done))} left" if done and total else ""
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """Seconds as a person says them."""
     if seconds < 60:
         return f"{seconds:.1f} s"
-    return f"{int(seconds) // 60} min {int(seconds) % 60} s"
+    if seconds < 3600:
+        return f"{int(seconds) // 60} min {int(seconds) % 60} s"
+    return f"{int(seconds) // 3600} h {int(seconds) % 3600 // 60} min"

@@ -80,6 +80,15 @@ Set = Annotated[
         rich_help_panel=ELSEWHERE,
     ),
 ]
+Defaults = Annotated[
+    bool,
+    typer.Option(
+        "--defaults",
+        help="Leave out the parameters that were recorded with the dataset: what is not given here is the default.",
+        rich_help_panel=ELSEWHERE,
+    ),
+]
+All = Annotated[bool, typer.Option("--all", help="List each artifact, not the first few of each stage.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be made, and why, and make nothing.")]
 
 

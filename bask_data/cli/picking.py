@@ -10,7 +10,7 @@ import typer
 
 from bask_data.cli.console import say, show_outcome, shown_progress
 from bask_data.cli.options import parameter
-from bask_data.engine import Outcome
+from bask_data.engine import Outcome, record_requested
 from bask_data.errors import UsageError
 
 if TYPE_CHECKING:
@@ -69,13 +69,16 @@ def pick(call: StageCall, *, parameters: Path, dry_run: bool, options: dict[str,
             planned=lambda more: call.tasks(more)[0],
             parameters=parameters,
             following=call.following,
-            inputs=call.inputs,
+            inputs=call.request.variant_inputs,
         )
         try:
             outcomes = pick_keypoints(picking, say=say, opened=opened, port=options["port"] or 0)
         except KeyboardInterrupt:
             say("interrupted: nothing was saved; what was picked is kept, and the same command goes on with it.")
             raise typer.Exit(130) from None
+    if outcomes:
+        # The picks themselves are in the file of parameters.
+        record_requested(call.dataset, call.stage, call.request)
     for outcome in outcomes:
         show_outcome(outcome)
     if not outcomes:

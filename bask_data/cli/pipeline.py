@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import time
 
 from bask_data.cli.commands import CommandList
-from bask_data.cli.console import print_result, say, show_outcome, shown_progress
-from bask_data.cli.options import Cluster, ConfigFile, DryRun, Force, Jobs, Json, Only, Preset, Root, Set
-from bask_data.cli.working import (
-    AFTER_DRY_RUN,
-    chosen_recordings,
-    executor_of,
-    finish,
-    parameters_of,
-    quoted,
-    show_findings,
+from bask_data.cli.console import duration, print_result, say
+from bask_data.cli.options import (
+    All,
+    Cluster,
+    ConfigFile,
+    Defaults,
+    DryRun,
+    Force,
+    Jobs,
+    Json,
+    Only,
+    Preset,
+    Root,
+    Set,
+    names_of,
 )
+from bask_data.cli.running import AFTER_DRY_RUN, made, print_forecast, result_lines, standing_lines
+from bask_data.cli.working import finish, quoted, request_of
 from bask_data.dataset import Dataset
-from bask_data.engine import Outcome, State, foretold, plan, run, state_told
+from bask_data.engine import run_pipeline
+from bask_data.engine import status as standings
 from bask_data.pipeline import STAGES
 
 app = CommandList()
@@ -36,61 +44,62 @@ def run_all(
     only: Only = "",
     force: Force = False,
     dry_run: DryRun = False,
+    all_: All = False,
     config: ConfigFile = None,
     preset: Preset = None,
     set_: Set = [],  # noqa: B006  # Typer copies it.
+    defaults: Defaults = False,
     jobs: Jobs = 1,
     cluster: Cluster = "",
     json_: Json = False,
 ) -> None:
-    """Make everything that is missing or stale, in order."""
+    """Make everything that is missing or stale, in order.
+
+    It says which stage it is at and how long it will take, and ends with what there is and how good it is. What was
+    finished before an interruption is kept: the same command goes on from there.
+    """
     dataset = Dataset(root)
     dataset.recover()
-    parameters = parameters_of(root, config, set_, preset)
-    chosen = chosen_recordings(dataset, only)
-    names = chosen if only else []
-    planned = []
-    for stage in STAGES:
-        items = [name for name in names if name in dataset.items(stage.makes.scope)]
-        if names and stage.makes.scope != "dataset" and not items:
-            continue
-        for variant in dataset.variants(stage.makes):
-            planned.append(plan(dataset, stage, config=parameters, only=items, variant=variant))
-    # All are planned before any is made: a bad parameter of a late stage must not cost the time of the first.
-    outcomes: list[Outcome] = []
-    coming: set[Path] = set()
-    with shown_progress(), executor_of(jobs, cluster) as executor:
-        for tasks in planned:
-            for outcome in foretold(tasks, coming, force) if dry_run else run(tasks, executor=executor, force=force):
-                show_outcome(outcome)
-                show_findings(outcome)
-                outcomes.append(outcome)
-    finish("run", outcomes, json_, AFTER_DRY_RUN if dry_run else f"bask-data report {quoted(root)}")
+    request = request_of(root, config, set_, preset=preset, defaults=defaults, only=tuple(names_of(only)))
+    if dry_run:
+        outcomes = list(run_pipeline(dataset, STAGES, request, force=force, dry_run=True))
+        if not json_:
+            print_forecast("run", outcomes, all_)
+        finish("run", outcomes, json_, AFTER_DRY_RUN)
+        return
+    begun = time.monotonic()
+    outcomes = made(dataset, request, jobs=jobs, cluster=cluster, force=force)
+    if not json_:
+        print_result("run", result_lines(outcomes), {}, json_)
+    say(f"took {duration(time.monotonic() - begun)}")
+    finish("run", outcomes, json_, f"bask-data report {quoted(root)}")
 
 
 @app.command(
     epilog="""
     bask-data status data/demo
+    bask-data status data/demo --all
     bask-data status data/demo --json
     """
 )
 def status(
     root: Root,
+    all_: All = False,
     config: ConfigFile = None,
     preset: Preset = None,
     set_: Set = [],  # noqa: B006
+    defaults: Defaults = False,
     json_: Json = False,
 ) -> None:
-    """Say what is up to date, and of what is not, why."""
-    dataset = Dataset(root)
-    parameters = parameters_of(root, config, set_, preset)
-    rows: list[tuple[str, str, State]] = []
-    for stage in STAGES:
-        for variant in dataset.variants(stage.makes):
-            for task in plan(dataset, stage, config=parameters, variant=variant):
-                rows.append((stage.name, task.label, state_told(task)))
-    lines = [f"  {state.status:<10}  {label}{f'  ({state.why})' if state.why else ''}" for _, label, state in rows]
-    found = [{"stage": stage, "label": label, "status": state.status, "why": state.why} for stage, label, state in rows]
-    print_result("status", lines, {"artifacts": found}, json_)
-    n_todo = sum(state.status != "up to date" for _, _, state in rows)
-    say(f"next: bask-data run {quoted(root)}" if n_todo else "everything is up to date.")
+    """Say what is up to date, and of what is not, why.
+
+    Artifacts are compared with the parameters that were asked for when they were made, which the dataset keeps.
+    """
+    request = request_of(root, config, set_, preset=preset, defaults=defaults)
+    found = list(standings(Dataset(root), STAGES, request))
+    rows = [
+        {"stage": each.stage, "label": each.label, "status": each.state.status, "why": each.state.why} for each in found
+    ]
+    print_result("status", standing_lines(found, all_), {"artifacts": rows}, json_)
+    is_done = all(each.state.status == "up to date" for each in found)
+    say("everything is up to date." if is_done else f"next: bask-data run {quoted(root)}")

@@ -11,11 +11,11 @@ import typer
 from bask_data.cli import completion
 from bask_data.cli.calls import call_of
 from bask_data.cli.commands import CommandList
-from bask_data.cli.console import show_outcome, shown_progress
 from bask_data.cli.options import (
     ONLY,
     Cluster,
     ConfigFile,
+    Defaults,
     DryRun,
     Force,
     Jobs,
@@ -28,10 +28,9 @@ from bask_data.cli.options import (
     parameter,
 )
 from bask_data.cli.picking import pick, pick_options, refuse_without_pick
-from bask_data.cli.working import AFTER_DRY_RUN, executor_of, finish, show_findings
-from bask_data.dataset import Variant
-from bask_data.engine import Outcome, Stage, Task, follow, foretold, is_follower, run
-from bask_data.errors import UsageError
+from bask_data.cli.running import AFTER_DRY_RUN, made, print_forecast
+from bask_data.cli.working import finish
+from bask_data.engine import Stage, follow, is_follower, run_pipeline
 from bask_data.pipeline import STAGES
 from bask_data.presets import PRESETS
 
@@ -86,6 +85,7 @@ def _signature(stage: Stage) -> list[inspect.Parameter]:
         parameter("config", ConfigFile, None),
         *([parameter("preset", Preset, None)] if stage.name in PRESETS["bask"] else []),
         parameter("set_", Set, []),
+        parameter("defaults", Defaults, False),
         parameter("jobs", Jobs, 1),
         parameter("cluster", Cluster, ""),
         parameter("json_", Json, False),
@@ -113,34 +113,23 @@ def _variant_options(stage: Stage) -> list[inspect.Parameter]:
 
 def _run(stage: Stage, root: Path, dry_run: bool, force: bool, options: dict[str, Any]) -> None:
     call = call_of(stage, root, options)
-    tasks = call.tasks()
-    if not tasks:
-        fix = "bask-data ingest --help"
-        raise UsageError(root, "", expected=f"a {stage.makes.scope}", got="none in the dataset", fix=fix)
     if is_follower():
-        for task in tasks if not dry_run else []:
+        for task in call.tasks() if not dry_run else []:
             follow(task, force)
         return
-    following = AFTER_DRY_RUN if dry_run else call.following
     if options.get("pick"):
         outcomes = pick(call, parameters=options["config"] or root / "params.yaml", dry_run=dry_run, options=options)
-        following = following if outcomes else ""
-    else:
-        refuse_without_pick(options)
-        outcomes = _outcomes(tasks, dry_run, force, options)
-    if call.variant != "main" and not dry_run and any(outcome.status == "made" for outcome in outcomes):
-        call.dataset.add_variant(stage.makes, call.variant, Variant(inputs=call.inputs))
-    finish(stage.name, outcomes, options["json_"], following)
-
-
-def _outcomes(tasks: list[Task], dry_run: bool, force: bool, options: dict[str, Any]) -> list[Outcome]:
-    found = []
-    with shown_progress(), executor_of(options["jobs"], options["cluster"]) as executor:
-        for outcome in foretold(tasks, set(), force) if dry_run else run(tasks, executor=executor, force=force):
-            show_outcome(outcome)
-            show_findings(outcome)
-            found.append(outcome)
-    return found
+        finish(stage.name, outcomes, options["json_"], call.following if outcomes else "")
+        return
+    refuse_without_pick(options)
+    if dry_run:
+        outcomes = list(run_pipeline(call.dataset, STAGES, call.request, force=force, dry_run=True))
+        if not options["json_"]:
+            print_forecast(stage.name, outcomes, every=True)
+        finish(stage.name, outcomes, options["json_"], AFTER_DRY_RUN)
+        return
+    outcomes = made(call.dataset, call.request, jobs=options["jobs"], cluster=options["cluster"], force=force)
+    finish(stage.name, outcomes, options["json_"], call.following)
 
 
 def _add(stage: Stage) -> None:

@@ -1,4 +1,4 @@
-"""What commands that make artifacts share: parameters, workers, and what is printed of the outcomes."""
+"""What commands that make artifacts share: what is asked for, workers, and what is printed at the end."""
 
 from __future__ import annotations
 
@@ -15,12 +15,10 @@ from bask_data.cli.console import print_result, say
 from bask_data.cli.options import names_of
 from bask_data.config import load_config
 from bask_data.dataset import Dataset
-from bask_data.engine import Config, Outcome
+from bask_data.engine import Config, Outcome, RunRequest
 from bask_data.errors import UsageError, imported
 from bask_data.pipeline import STAGES
 from bask_data.presets import PresetName
-
-AFTER_DRY_RUN = "the same without --dry-run"
 
 
 @contextmanager
@@ -53,8 +51,39 @@ def parameters_of(
     root: Path, config: Path | None, assignments: Sequence[str], preset: PresetName | None = None
 ) -> Config:
     """Of `--config`, or else of the dataset's own params.yaml, with `--preset` and then `--set` over them."""
-    own = root / "params.yaml"
+    own = _own_file(root)
     return load_config(config or (own if own.exists() else None), assignments, STAGES, preset)
+
+
+def request_of(
+    root: Path,
+    config: Path | None,
+    assignments: Sequence[str],
+    *,
+    preset: PresetName | None = None,
+    defaults: bool = False,
+    **asked: Any,
+) -> RunRequest:
+    """What is asked for, with the parameters of a file, a preset and `--set`.
+
+    Args:
+        config: the dataset's own params.yaml is as good as none: it counts anyway.
+        defaults: parameters recorded with the dataset do not count.
+        asked: further fields of the request.
+    """
+    own = _own_file(root)
+    if config is not None and own.exists() and config.resolve() == own.resolve():
+        config = None
+    return RunRequest(
+        given=load_config(config, assignments, STAGES, preset),
+        standing=load_config(own, [], STAGES) if config is None and own.exists() else {},
+        replaces=defaults or config is not None,
+        **asked,
+    )
+
+
+def _own_file(root: Path) -> Path:
+    return root / "params.yaml"
 
 
 def finish(command: str, outcomes: Sequence[Outcome], as_json: bool, next_command: str = "", **more: Any) -> None:
@@ -90,18 +119,6 @@ def attributes_of(outcome: Outcome) -> dict[str, Any]:
     from bask_data.artifact import Artifact
 
     return Artifact(outcome.path).attributes
-
-
-def show_findings(outcome: Outcome) -> None:
-    """What a stage wants a person to know."""
-    from bask_data.kinds import KINDS
-
-    if outcome.status == "made":
-        [kind] = [kind for kind in KINDS if kind.kind == outcome.kind]
-        for line in kind(outcome.path).summary():
-            say(f"              {line}")
-    for warning in attributes_of(outcome).get("warnings", []):
-        say(f"  note: {outcome.label}: {warning}")
 
 
 def chosen_recordings(dataset: Dataset, only: str) -> list[str]:

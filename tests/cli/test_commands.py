@@ -86,7 +86,7 @@ def test_interrupt_leaves_with_130_and_says_how_to_go_on(dataset: Dataset, monke
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("bask_data.cli.stages.run", interrupted)
+    monkeypatch.setattr("bask_data.cli.stages.made", interrupted)
     ended = cli("reconstruct", dataset.root)
     assert ended.exit_code == 130
     assert "the same command goes on from there" in ended.stderr

@@ -1,0 +1,140 @@
+"""A run as a person sees it: where it is and how long it takes, what came of each task, and what it ends with."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from bask_data.cli.console import duration, print_result, say, show_outcome, shown_progress
+from bask_data.cli.working import attributes_of, executor_of
+from bask_data.dataset import Dataset
+from bask_data.engine import Outcome, Position, RunRequest, Standing, run_pipeline
+from bask_data.engine.forecast import Forecast
+from bask_data.pipeline import STAGES
+
+AFTER_DRY_RUN = "the same without --dry-run"
+
+MOST_LISTED = 3
+"""Artifacts of a stage that a summary names; further ones are counted."""
+
+STATUSES = ("up to date", "would make", "stale", "missing", "blocked")
+"""In the order in which a summary counts them."""
+
+
+def made(dataset: Dataset, request: RunRequest, *, jobs: int, cluster: str, force: bool) -> list[Outcome]:
+    """Make what is asked for, and show how it goes."""
+    foreseen = list(run_pipeline(dataset, STAGES, request, force=force, dry_run=True))
+    course = Course(Forecast(dataset.root, foreseen, jobs), is_pipeline=not request.stages)
+    with shown_progress(), executor_of(jobs, cluster) as executor:
+        outcomes = run_pipeline(dataset, STAGES, request, executor=executor, force=force, begin=course.begin)
+        return list(course.shown(outcomes))
+
+
+class Course:
+    """The course of a run on stderr.
+
+    Args:
+        is_pipeline: of all stages, of which what is up to date is counted, not listed.
+    """
+
+    def __init__(self, forecast: Forecast, is_pipeline: bool) -> None:
+        self._forecast, self._is_pipeline = forecast, is_pipeline
+        self._kinds = {stage.name: stage.makes.kind for stage in STAGES}
+        self._begun = time.monotonic()
+
+    def begin(self, at: Position) -> None:
+        """Say what begins, unless it is up to date: which stage of how many, which item, and the time left."""
+        kind = self._kinds[at.stage]
+        if not self._forecast.is_awaited(kind, at.item):
+            return
+        variant = "" if at.variant == "main" else f" {at.variant}"
+        stages = f"stage {at.stage_number} of {at.n_stages}: " if at.n_stages > 1 else ""
+        if at.item:
+            items = f" {at.item} ({at.item_number} of {at.n_items})" if at.n_items > 1 else f" {at.item}"
+        else:
+            items = f" ({at.n_items} items)" if at.n_items > 1 else ""
+        say(f"  {stages}{at.stage}{variant}{items}{self._left()}")
+
+    def _left(self) -> str:
+        seconds, is_all = self._forecast.left()
+        if not seconds:
+            return ""
+        return f", {'about' if is_all else 'more than'} {duration(seconds)} left"
+
+    def shown(self, outcomes: Iterable[Outcome]) -> Iterator[Outcome]:
+        """The same outcomes, each shown as it comes."""
+        counted: Counter[str] = Counter()
+        for outcome in outcomes:
+            self._forecast.came(outcome)
+            if self._is_pipeline and outcome.status == "up to date":
+                counted[outcome.kind] += 1
+            else:
+                show_outcome(outcome)
+                _show_findings(outcome)
+            yield outcome
+        if counted:
+            say(f"  up to date  {', '.join(f'{n} {kind}' for kind, n in counted.items())}")
+
+
+def _show_findings(outcome: Outcome) -> None:
+    """What a stage wants a person to know."""
+    from bask_data.kinds import KINDS
+
+    if outcome.status == "made":
+        [kind] = [kind for kind in KINDS if kind.kind == outcome.kind]
+        for line in kind(outcome.path).summary():
+            say(f"              {line}")
+    for warning in attributes_of(outcome).get("warnings", []):
+        say(f"  note: {outcome.label}: {warning}")
+
+
+def result_lines(outcomes: Sequence[Outcome]) -> list[str]:
+    """What a run made, and how good it is: a line a stage."""
+    from bask_data.kinds import KINDS
+    from bask_data.kinds.headlines import headline
+
+    there = [outcome for outcome in outcomes if outcome.status in ("made", "up to date")]
+    lines = []
+    for kind in KINDS:
+        own = [outcome for outcome in there if outcome.kind == kind.kind]
+        n_made = sum(outcome.status == "made" for outcome in own)
+        if own:
+            counts = f"{n_made} made" + (f", {len(own) - n_made} up to date" if n_made < len(own) else "")
+            says = headline([kind(Path(outcome.path)) for outcome in own])
+            lines.append(f"  {kind.kind:<16} {counts}{f';  {says}' if says else ''}")
+    return lines
+
+
+def print_forecast(command: str, outcomes: Sequence[Outcome], every: bool) -> None:
+    """What a dry run says would be made."""
+    rows = [(outcome.position.stage if outcome.position else command, outcome) for outcome in outcomes]
+    print_result(command, summary([(stage, o.label, o.status, o.why) for stage, o in rows], every), {}, False)
+
+
+def standing_lines(standings: Sequence[Standing], every: bool) -> list[str]:
+    """What is up to date and what is not."""
+    return summary([(each.stage, each.label, each.state.status, each.state.why) for each in standings], every)
+
+
+def summary(rows: Sequence[tuple[str, str, str, str]], every: bool) -> list[str]:
+    """Of (stage, label, status, why): each, or else a line of counts a stage with the first that are not up to date."""
+    if every:
+        return [_line(label, status, why) for _, label, status, why in rows]
+    lines = []
+    for stage in dict.fromkeys(row[0] for row in rows):
+        own = [row for row in rows if row[0] == stage]
+        counts = Counter(status for _, _, status, _ in own)
+        lines.append(
+            f"  {stage:<16} {', '.join(f'{counts[status]} {status}' for status in STATUSES if counts[status])}"
+        )
+        others = [row for row in own if row[2] != "up to date"]
+        lines += [f"  {_line(label, status, why)}" for _, label, status, why in others[:MOST_LISTED]]
+        if len(others) > MOST_LISTED:
+            lines.append(f"    ... and {len(others) - MOST_LISTED} more; --all lists them")
+    return lines
+
+
+def _line(label: str, status: str, why: str) -> str:
+    return f"  {status:<10}  {label}{f'  ({why})' if why else ''}"

@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from bask_data.engine import Outcome
+from bask_data.engine.forecast import Forecast
+
+
+def foreseen(root: Path, kind: str, item: str, status: str = "would make") -> Outcome:
+    return Outcome(f"make {item}", kind, item, "main", str(root / kind / item), status)  # type: ignore[arg-type]
+
+
+def record(root: Path, kind: str, item: str, content: object) -> None:
+    file = root / "provenance" / kind / f"{item}.json"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(content))
+
+
+def test_what_was_made_tells_how_long_the_rest_takes(tmp_path: Path) -> None:
+    tasks = [foreseen(tmp_path, "mesh", name) for name in "abc"]
+    forecast = Forecast(tmp_path, tasks)
+    assert forecast.left() == (0.0, False)
+    forecast.came(replace(tasks[0], status="made", seconds=10.0))
+    assert forecast.left() == (20.0, True)
+    forecast.came(replace(tasks[1], status="made", seconds=20.0))
+    assert forecast.left() == (15.0, True)
+    forecast.came(replace(tasks[2], status="failed", seconds=1.0))
+    assert forecast.left() == (0.0, True)
+
+
+def test_records_of_earlier_work_tell_it_before_anything_is_made(tmp_path: Path) -> None:
+    tasks = [foreseen(tmp_path, "mesh", name) for name in "ab"]
+    tasks.append(foreseen(tmp_path, "mesh", "c", "up to date"))
+    record(tmp_path, "mesh", "b", {"seconds": 4.0})
+    record(tmp_path, "mesh", "c", {"seconds": 8.0})
+    assert Forecast(tmp_path, tasks).left() == (12.0, True)
+
+
+@pytest.mark.parametrize("content", [{}, {"seconds": "long"}, [], None])
+def test_a_record_that_is_not_sound_tells_nothing(tmp_path: Path, content: object) -> None:
+    record(tmp_path, "mesh", "a", content)
+    assert Forecast(tmp_path, [foreseen(tmp_path, "mesh", "a")]).left() == (0.0, False)
+
+
+def test_what_is_not_known_of_one_stage_makes_it_a_lower_bound(tmp_path: Path) -> None:
+    record(tmp_path, "mesh", "a", {"seconds": 4.0})
+    tasks = [foreseen(tmp_path, "mesh", "a"), foreseen(tmp_path, "net", "")]
+    assert Forecast(tmp_path, tasks).left() == (4.0, False)
+
+
+def test_workers_share_the_items_of_a_stage(tmp_path: Path) -> None:
+    record(tmp_path, "mesh", "a", {"seconds": 4.0})
+    tasks = [foreseen(tmp_path, "mesh", name) for name in "abcdef"]
+    assert Forecast(tmp_path, tasks, workers=3).left() == (8.0, True)
+    assert Forecast(tmp_path, tasks[:1], workers=3).left() == (4.0, True)
+
+
+def test_only_what_would_be_made_is_awaited(tmp_path: Path) -> None:
+    forecast = Forecast(tmp_path, [foreseen(tmp_path, "mesh", "a"), foreseen(tmp_path, "mesh", "b", "up to date")])
+    assert forecast.is_awaited("mesh") and forecast.is_awaited("mesh", "a")
+    assert not forecast.is_awaited("mesh", "b") and not forecast.is_awaited("net")
