@@ -14,7 +14,7 @@ from bask_data.cli.running import Course, summary
 from bask_data.dataset import Dataset
 from bask_data.engine import Outcome, Position
 from bask_data.engine.forecast import Forecast
-from tests.test_stage import add_scan
+from tests.datasets import add_scan
 
 ROWS = [
     ("reconstruct", "reconstruct a", "up to date", ""),
