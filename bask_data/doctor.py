@@ -20,7 +20,9 @@ from importlib import metadata
 from pathlib import Path
 
 OLDEST_PYTHON = (3, 11)
+"""The syntax of the code needs it; pyproject.toml says the same."""
 NEWEST_PYTHON = (3, 13)
+"""The newest for which every package we need has wheels."""
 
 # What the wheels link to and do not carry; Open3D needs all of them. A desktop has them, a container often not.
 PACKAGE_OF_LIBRARY = {
@@ -58,8 +60,11 @@ RIVALS = {
 }
 
 FREE_BYTES_WANTED = 5 * 10**9
+"""Room for a few scenes: one of 500 frames takes about 1 GB with all that is made of it."""
 MEMORY_BYTES_WANTED = 4 * 10**9
+"""With less, even one job at a time may not fit, unless voxels are larger than the default."""
 _PROBE_SECONDS = 120
+"""Importing torch or Open3D takes seconds, a minute from a cold disk; what takes longer hangs."""
 
 
 @dataclass(frozen=True)
