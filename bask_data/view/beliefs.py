@@ -1,6 +1,6 @@
-"""What a filter believes in each frame, not only the mean of it: particles, or a map over each camera's pixels.
+"""The filter's belief in each frame: particles, or a map over each camera's pixels.
 
-A track does not keep it, so the demonstration is tracked again.
+Tracks do not store beliefs, so the demonstration is tracked again.
 """
 
 from __future__ import annotations
@@ -24,24 +24,26 @@ from bask_data.view.choice import Choice
 from bask_data.view.sheet import CORNER, DrawnItem, Sheet, jpeg, reading
 
 N_PARTICLES = 150
-"""Particles shown of each keypoint, drawn by their weight: as many more would only hide them."""
+"""Particles shown per keypoint, sampled by weight; more would hide one another."""
 SAME = 1e-3
-"""Metres within which means tracked again are those of the track."""
+"""Tolerance between the track's means and those tracked again, metres."""
 BELIEF_WIDTH = 256
-"""Pixels of a map's picture, at most."""
+"""Width of a map's picture, pixels, at most."""
 
 
 def draw_beliefs(
     sheet: Sheet, drawn: DrawnItem, dataset: Dataset, demonstration: Demonstration, choice: Choice
 ) -> None:
-    """Track again as the demonstration's track was made, and show particles, or maps over pixels, in each frame."""
+    """Track again with the settings of the demonstration's track, and draw particles or maps of each frame."""
     track = find(dataset, KeypointTrack, demonstration.path.name, choice.variant)
     if track is None:
-        return  # Which is said of the keypoints.
+        return  # Reported with the keypoints.
     with reading(track):
         tracker, params = _tracker(dataset, track, choice.variant)
         if tracker is None:
-            drawn.note(False, "beliefs", "the network or references of the track are not there, or it is of truth")
+            drawn.note(
+                False, "beliefs", "the track's network or references are missing, or it was made from ground truth"
+            )
             return
         cameras = cameras_of(demonstration, params.cameras)
         grippers = grippers_of(demonstration, cameras[0].n_frames)
@@ -49,17 +51,17 @@ def draw_beliefs(
         is_same = True
         for i_frame in progress(range(len(track.mean)), f"tracking again in {sheet.item}"):
             moment = moment_of(compress(cameras, shown[i_frame]), i_frame)
-            found = tracker.step(*moment, None if grippers is None else grippers[i_frame])
-            is_same &= np.allclose(found.mean, track.mean[i_frame], atol=SAME, equal_nan=True)
+            tracked = tracker.step(*moment, None if grippers is None else grippers[i_frame])
+            is_same &= np.allclose(tracked.mean, track.mean[i_frame], atol=SAME, equal_nan=True)
             if i_frame % choice.every == 0:
                 time = cameras[0].time
                 with sheet.at(frame=i_frame, seconds=float(time[i_frame] - time[0])):
                     _draw(sheet, drawn, tracker, cameras, i_frame)
-    drawn.note(is_same, "beliefs", "tracked again, keypoints are elsewhere: bask-data encode --force")
+    drawn.note(is_same, "beliefs", "keypoints differ when tracked again: bask-data encode --force")
 
 
 def _tracker(dataset: Dataset, track: KeypointTrack, variant: str) -> tuple[KeypointTracker | None, EncodeParams]:
-    """A tracker at its beginning, as the track was made; None where something of it is gone."""
+    """A tracker with the track's settings, before the first frame; None where an input is missing."""
     known = {name: value for name, value in track.manifest.params.items() if name in EncodeParams.model_fields}
     params = EncodeParams.model_validate(known)
     descriptor = input_variant(dataset, track, DescriptorNet, variant)
@@ -83,7 +85,7 @@ def _draw(sheet: Sheet, drawn: DrawnItem, tracker: KeypointTracker, cameras: Seq
 
 
 def _draw_particles(sheet: Sheet, belief: WeightedPoints, tracker: KeypointTracker, cameras: Sequence[Camera]) -> None:
-    """Some particles of each keypoint, as many of them in a place as there is weight, in space and in the images."""
+    """Draw a sample by weight of each keypoint's particles, in the scene and in the images."""
     import rerun as rr
 
     k = len(belief.weight)
@@ -104,7 +106,7 @@ def _draw_particles(sheet: Sheet, belief: WeightedPoints, tracker: KeypointTrack
 
 
 def _in_image(points_world: np.ndarray, seen: Observation, camera: Camera) -> np.ndarray:
-    """Pixels (n, 2) of the camera's images; NaN behind it."""
+    """Pixels (n, 2) of the camera's recorded images; NaN behind the camera."""
     return scale_pixels(pixels_of(points_world, seen), seen.depth.shape, (camera.height, camera.width))
 
 
@@ -117,7 +119,7 @@ def _draw_maps(
     maps: np.ndarray,
     i_frame: int,
 ) -> None:
-    """The belief over a camera's pixels, of each keypoint, over the frame."""
+    """Draw each keypoint's belief over a camera's pixels, overlaid on the frame."""
     import rerun as rr
 
     [camera] = [one for one in cameras if one.name == name]

@@ -1,4 +1,4 @@
-"""What of a dataset is to be shown in the viewer, and what was."""
+"""What to show of a dataset in the viewer, and what a recording shows."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Choice:
-    """What of a dataset to show.
+    """What to show of a dataset.
 
     Args:
-        items: scenes and demonstrations by name.
-        every: shows each so many-th frame.
-        n_pairs: most pairs of views whose matches are shown, for each scene.
+        items: names of scenes and demonstrations.
+        every: show every n-th frame.
+        n_pairs: pairs of views whose matches are shown, at most, per scene.
         variant: of descriptor network, reference keypoints and tracks.
-        beliefs: track demonstrations again, to show what the filter believes in each frame.
+        beliefs: track demonstrations again to show the filter's belief in each frame.
     """
 
     items: Sequence[str]
@@ -27,12 +27,12 @@ class Choice:
 
 @dataclass
 class Shown:
-    """What of one item went into a recording.
+    """What a recording shows of one item.
 
     Args:
-        frames: number of frames shown of each camera.
-        layers: what is there to be seen, in a few words each.
-        missing: what could be there and is not, and why.
+        frames: number of frames shown, by camera.
+        layers: what is shown, in a few words each.
+        missing: what could be shown and is not, and why.
     """
 
     frames: dict[str, int] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""What a robot did and where its keypoints are thought to be."""
+"""The robot's motion and the tracked keypoints of a demonstration."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from bask_data.view.choice import Choice
 from bask_data.view.sheet import CORNER, ORANGE, DrawnItem, Sheet, expect, reading
 
 N_LABELLED = 8
-"""More names than this at once hide what they name; the viewer shows those of points pointed at."""
+"""Keypoints whose names are always shown, at most: more names would hide the points. Hovering shows the others."""
 
 
 def draw_demonstration(
     sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str, source: Recording | None, choice: Choice
 ) -> None:
-    """The gripper's way and the keypoints', in the scene, in the images and over time."""
+    """Draw the gripper's path and the keypoints in the scene, in the images and over time."""
     if isinstance(source, Demonstration):
         with reading(source):
             _draw_robot(sheet, drawn, source, choice.every)
@@ -34,7 +34,7 @@ def draw_demonstration(
 
 
 def _seconds(source: Recording | None, n: int) -> list[float | None]:
-    """Time of each frame from the first on, by a camera that has as many; None where no camera tells."""
+    """Seconds from the first frame to each, from a camera with n frames; None where there is no such camera."""
     for camera in source.cameras if source else []:
         if len(camera.time) == n:
             return [float(t) for t in expect(camera.path, "time", camera.time, (n,), "f") - camera.time[0]]
@@ -49,7 +49,7 @@ def _draw_robot(sheet: Sheet, drawn: DrawnItem, source: Demonstration, every: in
         drawn.shown.missing.append("gripper (only cameras were recorded)")
         return
     poses, width, action = robot.world_from_gripper, robot.gripper_width, robot.action
-    n = next((len(one) for one in (poses, width, action) if one is not None), 0)
+    n = next((len(column) for column in (poses, width, action) if column is not None), 0)
     where = source.path / "robot"
     if poses is not None:
         for i, pose in enumerate(expect(where, "world_from_gripper", poses, (n, 4, 4), "f")):
@@ -81,7 +81,7 @@ def _draw_robot(sheet: Sheet, drawn: DrawnItem, source: Demonstration, every: in
 
 
 def _draw_track(sheet: Sheet, track: KeypointTrack, source: Recording | None, every: int) -> None:
-    """Means with their one-sigma ellipsoids, the way they took, and where they lie in the images."""
+    """Draw means with their one-sigma ellipsoids, their paths, and their pixels in the images."""
     import rerun as rr
 
     n, k = len(track.mean), len(track.names)
@@ -99,7 +99,7 @@ def _draw_track(sheet: Sheet, track: KeypointTrack, source: Recording | None, ev
     pixels = _track_pixels(track, source, n, k)
     for i_frame in progress(range(0, n, every), f"drawing {sheet.item}, keypoints"):
         here = known[i_frame]
-        names = [name for name, there in zip(track.names, here, strict=True) if there]
+        names = [name for name, is_known in zip(track.names, here, strict=True) if is_known]
         mean, sizes, quat_xyzw = track.mean[i_frame, here], *_axes(track.covariance[i_frame, here])
         with sheet.at(frame=i_frame, seconds=seconds[i_frame]):
             sheet.log(
@@ -120,9 +120,9 @@ def _draw_track(sheet: Sheet, track: KeypointTrack, source: Recording | None, ev
                     rr.Points2D(
                         pixel[i_frame, visible] + CORNER,
                         colors=colours[visible],
-                        labels=[name for name, there in zip(track.names, visible, strict=True) if there],
+                        labels=[name for name, is_visible in zip(track.names, visible, strict=True) if is_visible],
                         show_labels=k <= N_LABELLED,
-                        # What the filter takes to be hidden is drawn small.
+                        # Keypoints that the filter considers occluded are drawn small.
                         radii=rr.Radius.ui_points(np.where(observed[i_frame, visible], 6.0, 2.5)),
                     ),
                 )
@@ -131,27 +131,27 @@ def _draw_track(sheet: Sheet, track: KeypointTrack, source: Recording | None, ev
 def _track_pixels(
     track: KeypointTrack, source: Recording | None, n: int, k: int
 ) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """By camera of the recording: pixels (n, k, 2), whether they are thought to be seen, and lie in the image."""
-    found = {}
+    """By camera of the recording: pixels (n, k, 2), whether the filter considers them visible, and lie in the image."""
+    pixels = {}
     for camera in source.cameras if source else []:
         if camera.name in track.camera_names:
             where = track.path / camera.name
             pixel = expect(where, "pixel", np.nan_to_num(track.pixel(camera.name), nan=-1e6), (n, k, 2), "f")
             observed = expect(where, "observed", track.observed(camera.name), (n, k), "b")
             inside = in_image(pixel.reshape(-1, 2).astype(np.float64), camera.height, camera.width).reshape(n, k)
-            found[camera.name] = pixel, observed, inside
-    return found
+            pixels[camera.name] = pixel, observed, inside
+    return pixels
 
 
 def _strips(points: np.ndarray, known: np.ndarray) -> list[np.ndarray]:
-    """The stretches of a path (t, 3) in which it is known."""
+    """The parts of a path (t, 3) in which it is known."""
     cuts = np.flatnonzero(np.diff(known.astype(np.int8))) + 1
     pieces = np.split(np.arange(len(points)), cuts)
     return [points[piece] for piece in pieces if len(piece) > 1 and known[piece[0]]]
 
 
 def _axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One-sigma half axes (k, 3), metres, and the rotations (k, 4), xyzw, that turn them into place."""
+    """One-sigma half axes (k, 3), metres, and their orientations (k, 4) as quaternions xyzw."""
     from scipy.spatial.transform import Rotation
 
     values, vectors = np.linalg.eigh(covariance.astype(np.float64))

@@ -1,4 +1,4 @@
-"""Cameras on their way: their frames, measured depth, masks and true labels."""
+"""Cameras with their frames, measured depth, masks and ground-truth labels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bask_data.view.sheet import CORNER, GREY, DrawnItem, Sheet, expect, jpeg, n
 
 
 def draw_frames(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str, source: Recording, choice: Choice) -> None:
-    """Every camera of a recording."""
+    """Draw every camera of a recording."""
     masks = find(dataset, VisibleMasks, name) if isinstance(source, Scan) else None
     truth = find_truth(dataset, name)
     cameras = source.cameras
@@ -46,7 +46,7 @@ def draw_frames(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str, sou
 
 
 def _check(camera: Camera) -> None:
-    """Refuse a camera whose arrays do not belong together."""
+    """Raise `BadData` for a camera whose arrays are inconsistent."""
     if min(camera.height, camera.width) < 1:
         raise BadData(camera.path, "rgb", expected="an image", got=f"{camera.width} x {camera.height} pixels")
     expect(camera.path, "world_from_camera", camera.world_from_cameras, (camera.n_frames, 4, 4), "f")
@@ -56,7 +56,7 @@ def _check(camera: Camera) -> None:
 
 
 def _draw_camera(sheet: Sheet, camera: Camera, frames: range, begin: float) -> None:
-    """Stream one camera's colour and depth, and where it was."""
+    """Draw one camera's colour, depth and path, frame by frame."""
     import rerun as rr
 
     size, poses = (camera.height, camera.width), camera.world_from_cameras
@@ -88,7 +88,7 @@ def _draw_labels(
     layer: str,
     read: Callable[[int], np.ndarray],
 ) -> None:
-    """Stream label images over one camera's frames."""
+    """Draw label images over one camera's frames."""
     import rerun as rr
 
     for i_frame in progress(frames, f"drawing {sheet.item}, {camera.name}, {layer}"):
@@ -99,12 +99,12 @@ def _draw_labels(
 
 
 def _inferred(masks: CameraMasks, i_frame: int) -> np.ndarray:
-    """1 where a mask, or its absence, is an inference without a measurement."""
+    """Label 1 where no depth was measured, so that the mask, or its absence, is inferred."""
     return (~masks.measured(i_frame)).astype(np.uint8)
 
 
 def _depth_range(camera: Camera) -> tuple[float, float]:
-    """In stored units; the same for all frames, so that colours mean the same, and from 0, the one dark colour."""
+    """Range in stored units, the same for all frames so that colours compare; from 0, the only dark colour."""
     sampled = [camera.depth_raw(i_frame).ravel()[::37] for i_frame in spread_frames(camera.n_frames, 5)]
-    measured = np.concatenate([one[one > 0] for one in sampled]) if sampled else np.zeros(0)
+    measured = np.concatenate([depth[depth > 0] for depth in sampled]) if sampled else np.zeros(0)
     return 0.0, float(np.percentile(measured, 98)) if len(measured) else 1.0 / camera.depth_scale

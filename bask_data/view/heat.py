@@ -1,4 +1,4 @@
-"""Heat maps: where a descriptor network sees each reference point in the frames of a scan or demonstration."""
+"""Heat maps of the reference keypoints in the frames of a scan or demonstration."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from bask_data.view.choice import Choice
 from bask_data.view.sheet import CORNER, GREY, DrawnItem, Sheet, jpeg, reading
 
 N_HEATED_POINTS = 16
-"""Points with heat maps, at most: as many as the paper tracks, and as fit into a grid beside the scene."""
+"""Keypoints with heat maps, at most: as many as the paper tracks, and as fit into a grid beside the scene."""
 N_HEATED_FRAMES = 40
-"""Frames of each camera, at most: a network needs longer for one than all other drawing."""
+"""Frames of each camera, at most: the network takes longer for one than all other drawing."""
 HEAT_WIDTH = 320
-"""Pixels of a picture, at most: there are many, and heat maps have no more to tell."""
+"""Width of a picture, pixels, at most: there are many, and heat maps have no finer detail."""
 
 
 def draw_heat(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str, source: Recording, choice: Choice) -> None:
-    """A heat map for each point, with its best match and its true place."""
+    """Draw each keypoint's heat map, with its best match and its ground truth."""
     descriptor = network_of(dataset, choice.variant)
     if descriptor is None:
         drawn.note(False, "heat maps", "bask-data train")
@@ -38,11 +38,15 @@ def draw_heat(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str, sourc
             drawn.heated[camera.name] = [place_of(picks[i], i) for i in here]
         if here:
             _draw_reference(sheet, dataset, picks, here)
-    drawn.note(bool(here), "heat maps", "none of the points' objects is here" if picks else "bask-data reference")
+    drawn.note(
+        bool(here),
+        "heat maps",
+        "none of the keypoints' objects is in this recording" if picks else "bask-data reference",
+    )
 
 
 def place_of(pick: Pick, i: int) -> str:
-    """A point's name among entities: numbered, as in reports, so that no two are one."""
+    """A keypoint's entity name, numbered as in reports, and so unique."""
     return f"{i + 1} {pick.name}"
 
 
@@ -82,10 +86,10 @@ def _draw_point(
     best, seen = on_picture(sight.best[row]), truth.states[i] == SEEN
     true = on_picture(truth.uv[i] if truth.states[i] in (SEEN, BEHIND) else np.zeros((0, 2)))
     sheet.log((*place, "map"), rr.EncodedImage(contents=jpeg(picture), media_type="image/jpeg"))
-    # What a frame does not have must be said, or the viewer shows what an earlier one had.
+    # What a frame lacks is logged as empty, or the viewer keeps showing an earlier frame's.
     joined = [np.concatenate([best, true])] if seen else []
     sheet.log((*place, "error"), rr.LineStrips2D(joined, colors=[WHITE], radii=rr.Radius.ui_points(0.75)))
-    label = "truth" if seen else f"truth, {truth.states[i]}"
+    label = "ground truth" if seen else f"ground truth, {truth.states[i]}"
     sheet.log(
         (*place, "truth"),
         rr.Points2D(
@@ -103,7 +107,7 @@ def _draw_point(
 
 
 def _draw_reference(sheet: Sheet, dataset: Dataset, picks: list[Pick], here: list[int]) -> None:
-    """The image that most of the points were picked in."""
+    """Draw the image that most of the keypoints were picked in."""
     import rerun as rr
 
     frames = [(picks[i].recording, picks[i].camera, picks[i].frame) for i in here]

@@ -1,6 +1,6 @@
-"""What each item of a dataset looks like in a Rerun recording: one entity for each thing to be shown or hidden.
+"""Entities of a dataset's items in a Rerun recording, each of which can be shown or hidden.
 
-Every item has a tree of its own, `/<item>`, as items have world frames of their own:
+Every item has its own tree, `/<item>`, because it has its own world frame:
 
     world/cameras/<camera>/{rgb,depth,masks,inferred,truth,keypoints,particles}
     world/camera_paths/<camera>
@@ -9,7 +9,7 @@ Every item has a tree of its own, `/<item>`, as items have world frames of their
     heat/<camera>/<point>/{map,best,truth,error}    heat/reference    belief/<camera>/<point>
     plots/{spread,gripper_width,action}
 
-Times are `frame`, counted from 0, `time` in seconds and, for matches, `pair`.
+Timelines are `frame`, counted from 0, `time` in seconds and, for matches, `pair`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def draw_item(recording: rerun.RecordingStream, dataset: Dataset, name: str, choice: Choice) -> DrawnItem:
-    """Put everything that was made of an item into the recording."""
+    """Draw all artifacts of an item into the recording."""
     sheet, drawn = Sheet(recording, name), DrawnItem(name, Shown())
     source = find_recording(dataset, name)
     points = np.zeros((0, 3))

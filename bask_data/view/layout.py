@@ -1,6 +1,6 @@
 """The viewer's layout: the scene on the left, images and plots on the right, time below; a tab for each item.
 
-Where there are heat maps, all of them are on the right, and images and plots below the scene.
+With heat maps, these are on the right, and images and plots below the scene.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from typing import Any
 from bask_data.view.sheet import DrawnItem
 
 BACKGROUND = [24, 26, 30]
-"""Of the space: light surfaces and coloured lines stand out from it, whatever the viewer's theme."""
+"""Background of 3D views: light surfaces and coloured lines stand out from it in any theme of the viewer."""
 
 
 def layout(items: Sequence[DrawnItem]) -> Any:
-    """A blueprint in which everything that matters is seen at once, and the rest is a click away."""
+    """The blueprint: the main views visible at once, the others in tabs."""
     import rerun.blueprint as rrb
 
     return rrb.Blueprint(
@@ -31,8 +31,8 @@ def _item(item: DrawnItem) -> Any:
 
     beside, heat = _beside(item), _heat(item)
     if heat is not None:
-        one_of = [view for group in beside for view in group]
-        left = rrb.Vertical(_scene(item), rrb.Tabs(*one_of, active_tab=0))
+        tabs = [view for group in beside for view in group]
+        left = rrb.Vertical(_scene(item), rrb.Tabs(*tabs, active_tab=0))
         return rrb.Horizontal(left, heat, column_shares=[4, 5], name=item.name)
     groups = [rrb.Tabs(*group, active_tab=0) if len(group) > 1 else group[0] for group in beside]
     parts = [_scene(item), *([rrb.Vertical(*groups)] if groups else [])]
@@ -40,8 +40,8 @@ def _item(item: DrawnItem) -> Any:
 
 
 def _heat(item: DrawnItem) -> Any:
-    """All points beside each other, and where they were picked; a tab for each camera, and for what a filter believes
-    of it. None without any."""
+    """Heat maps of all keypoints beside the image they were picked in, and beliefs, in a tab per camera; None without
+    any."""
     import rerun.blueprint as rrb
 
     cameras = [
@@ -69,7 +69,7 @@ def _heat(item: DrawnItem) -> Any:
 
 
 def _scene(item: DrawnItem) -> Any:
-    """The surface, or the same by instance; where there is none, the points of the measured depth."""
+    """Tabs of the surface, of its instances, and of the measured depth as points."""
     import rerun.blueprint as rrb
 
     tabs = []
@@ -100,7 +100,7 @@ def _space(item: DrawnItem, name: str, *, hidden: Sequence[str], depth: bool) ->
 
 
 def _beside(item: DrawnItem) -> list[list[Any]]:
-    """Images, matches and plots; of each group one is seen at a time."""
+    """Groups of images, matches and plots, each of which shows one of its views at a time."""
     import rerun.blueprint as rrb
 
     images = [_images(item, camera) for camera in item.cameras]

@@ -1,4 +1,4 @@
-"""Matches between two views: the views beside each other, and the matched points in the scene."""
+"""Matches between two views, as lines between the images and as points in the scene."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from bask_data.progress import progress
 from bask_data.view.sheet import CORNER, DrawnItem, Sheet, jpeg, reading
 
 N_SHOWN_MATCHES = 60
-"""Matches drawn of a pair: more than in a report, for a viewer can be zoomed."""
+"""Matches drawn per pair: more than in a report, because the viewer zooms."""
 GAP_PX = 8
-"""Between the two images of a pair."""
+"""Gap between the two images of a pair, pixels."""
 
 
 def draw_matches(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str, scan: Scan, n_pairs: int) -> None:
-    """Pairs of views beside each other with lines between matches, and what they show as points in the scene."""
-    found = find(dataset, Correspondences, name)
-    if found is None:
+    """Draw pairs of views side by side with lines between matches, and the matched points in the scene."""
+    correspondences = find(dataset, Correspondences, name)
+    if correspondences is None:
         drawn.shown.missing.append("matches (bask-data correspondences)")
         return
-    with reading(found):
-        rows = [row for row in found.pairs().to_pylist() if row["n_matches"] > 0]
+    with reading(correspondences):
+        rows = [row for row in correspondences.pairs().to_pylist() if row["n_matches"] > 0]
         rows = sorted(rows, key=lambda row: (row["camera_a"], row["frame_a"], row["pair"]))
         chosen = [rows[i] for i in spread_frames(len(rows), n_pairs)]
         for row in progress(chosen, f"drawing {name}, matches"):
-            _draw_pair(sheet, scan, found, row)
+            _draw_pair(sheet, scan, correspondences, row)
     drawn.note(
         bool(chosen), f"matches of {len(chosen)} of {len(rows)} pairs", "--pairs 0" if rows else "no pair has any"
     )
@@ -40,17 +40,17 @@ def draw_matches(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str, sc
         drawn.layers.add("matches")
 
 
-def _draw_pair(sheet: Sheet, scan: Scan, found: Correspondences, row: dict[str, Any]) -> None:
+def _draw_pair(sheet: Sheet, scan: Scan, correspondences: Correspondences, row: dict[str, Any]) -> None:
     import rerun as rr
 
     where = f"pair {row['pair']}"
-    cameras = [_frame(scan, found, where, row[f"camera_{x}"], row[f"frame_{x}"]) for x in "ab"]
-    table = found.matches([row["pair"]])
+    cameras = [_frame(scan, correspondences, where, row[f"camera_{x}"], row[f"frame_{x}"]) for x in "ab"]
+    table = correspondences.matches([row["pair"]])
     columns = {name: table[name].to_numpy() for name in ("u_a", "v_a", "u_b", "v_b", "instance")}
     some = spread_matches(columns["instance"], N_SHOWN_MATCHES)
     uv_a, uv_b = (np.stack([columns[f"u_{x}"], columns[f"v_{x}"]], axis=1)[some].astype(np.float64) for x in "ab")
     if not np.isfinite([uv_a, uv_b]).all():
-        raise BadData(found.path / "matches.parquet", where, expected="finite pixels", got="NaN or infinity")
+        raise BadData(correspondences.path / "matches.parquet", where, expected="finite pixels", got="NaN or infinity")
     images = [camera.rgb(i_frame) for camera, i_frame in cameras]
     shift = images[0].shape[1] + GAP_PX
     picture = np.zeros((max(len(image) for image in images), shift + images[1].shape[1], 3), np.uint8)
@@ -75,9 +75,12 @@ def _draw_pair(sheet: Sheet, scan: Scan, found: Correspondences, row: dict[str, 
         )
 
 
-def _frame(scan: Scan, found: Correspondences, where: str, camera: str, i_frame: int) -> tuple[Camera, int]:
+def _frame(scan: Scan, correspondences: Correspondences, where: str, camera: str, i_frame: int) -> tuple[Camera, int]:
     if camera not in scan.camera_names or not 0 <= i_frame < scan.camera(camera).n_frames:
         raise BadData(
-            found.path / "pairs.parquet", where, expected="frames of the scan", got=f"frame {i_frame} of {camera!r}"
+            correspondences.path / "pairs.parquet",
+            where,
+            expected="frames of the scan",
+            got=f"frame {i_frame} of {camera!r}",
         )
     return scan.camera(camera), i_frame

@@ -1,4 +1,4 @@
-"""A dataset's items as one Rerun recording, written while it is drawn and replaced in one step."""
+"""A dataset's items as one Rerun recording, streamed to disk and renamed into place when complete."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ if TYPE_CHECKING:
 APPLICATION = "bask-data"
 
 SECONDS_TO_ABANDON = 10
-"""What a recording that failed gets to close its file."""
+"""Seconds that a failed recording gets to close its file."""
 
 
 def require_rerun() -> None:
-    """Refuse to begin without the package; `MissingDependency`."""
+    """Raise `MissingDependency` unless Rerun is installed."""
     imported("rerun", "the Rerun SDK", user="view", extra="view")
 
 
 def save_recording(dataset: Dataset, file: Path, choice: Choice, *, force: bool = False) -> dict[str, Shown]:
-    """Write a dataset's items as one recording; frames go to the file as they come.
+    """Write a dataset's items as one recording, frame by frame.
 
     Args:
-        force: replace a file of that name. It is replaced in one step, when the new one is whole.
+        force: replace an existing file, in one step when the new one is complete.
 
     Returns:
-        What was shown of each item.
+        What is shown of each item.
 
     Raises:
         MissingDependency: Rerun is not installed.
         WouldOverwrite: the file exists.
-        UsageError: none of the items has anything to show, or the file's name is not one the viewer opens.
-        BadData: an artifact cannot be read, or does not fit the others.
+        UsageError: none of the items has anything to show, or the file's name does not end in .rrd.
+        BadData: an artifact cannot be read, or is inconsistent with the others.
         BaskError: the file cannot be written.
     """
     require_rerun()
@@ -57,8 +57,10 @@ def save_recording(dataset: Dataset, file: Path, choice: Choice, *, force: bool 
         shown = _write(dataset, unfinished, choice)
         unfinished.replace(file)
     except (RuntimeError, OSError) as error:
-        fix = "see that the disk has room."
-        raise BaskError(file, "", expected="a file that takes all", got=str(error)[:200], fix=fix) from error
+        fix = "check that the disk has space and that you may write there."
+        raise BaskError(
+            file, "", expected="a writable file and enough disk space", got=str(error)[:200], fix=fix
+        ) from error
     finally:
         with suppress(OSError):
             unfinished.unlink()
@@ -68,7 +70,7 @@ def save_recording(dataset: Dataset, file: Path, choice: Choice, *, force: bool 
 def _write(dataset: Dataset, file: Path, choice: Choice) -> dict[str, Shown]:
     import rerun as rr
 
-    # Else Rerun answers what it cannot take with a line in the log, and leaves it out of the recording.
+    # Otherwise Rerun only logs what it cannot record, and leaves it out.
     rr.set_strict_mode(True)
     recording = rr.RecordingStream(APPLICATION, recording_id=f"{dataset.file.name}:{','.join(choice.items)}")
     if not rr.is_enabled(recording):
@@ -78,7 +80,7 @@ def _write(dataset: Dataset, file: Path, choice: Choice) -> dict[str, Shown]:
     seconds = SECONDS_TO_ABANDON
     try:
         drawn = {name: draw_item(recording, dataset, name, choice) for name in choice.items}
-        shown = [one for one in drawn.values() if one.shown.layers]
+        shown = [item for item in drawn.values() if item.shown.layers]
         if not shown:
             fix = "bask-data ingest --help"
             asked = ", ".join(choice.items)
@@ -89,14 +91,16 @@ def _write(dataset: Dataset, file: Path, choice: Choice) -> dict[str, Shown]:
     finally:
         is_closed = _closed(recording, seconds)
     if not is_closed:
-        raise OSError("Rerun's writer does not come to an end")
+        raise OSError("Rerun's writer does not finish")
     _check_whole(file)
-    return {name: one.shown for name, one in drawn.items()}
+    return {name: item.shown for name, item in drawn.items()}
 
 
 def _closed(recording: rr.RecordingStream, seconds: float) -> bool:
-    """Close a recording; False when that does not end. Rerun waits for its writer for ever, even one that a full disk
-    has killed, and would do so again when the process ends."""
+    """Close a recording; False if that takes longer than `seconds`.
+
+    Rerun waits forever for its writer, even one that a full disk has killed, and again when the process ends.
+    """
     import rerun as rr
 
     closing = threading.Thread(target=recording.disconnect, daemon=True)
@@ -108,7 +112,7 @@ def _closed(recording: rr.RecordingStream, seconds: float) -> bool:
 
 
 def _check_whole(file: Path) -> None:
-    """Read the file's table of contents back: a disk that is full at the end is a line in Rerun's log, no error."""
+    """Read the file's table of contents back: if the disk fills up at the end, Rerun only logs it."""
     from rerun.chunk import RrdReader
 
     try:

@@ -1,4 +1,4 @@
-"""Surfaces and objects of a scene, and where to look at them from."""
+"""Surfaces and objects of a scene, and the first viewpoint."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from bask_data.kinds import ObjectInstances, Reconstruction, Recording
 from bask_data.view.sheet import DrawnItem, Eye, Sheet, expect, label_colour, name_labels, reading
 
 N_EYE_POINTS = 20_000
-"""Vertices that say where the scene is, at most: its 2nd and 98th percentiles do not change with more."""
+"""Vertices that locate the scene, at most: more do not change its 2nd and 98th percentiles."""
 FAR_ENOUGH = 1.9
-"""Radii of a ball from which a view of 55 degrees sees nearly all of it."""
+"""Distance, in radii of a ball, at which a field of view of 55 degrees shows nearly all of it."""
 
 
 def draw_scene(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str) -> np.ndarray:
-    """The mesh in its colours and by instance, with a box around each; gives the mesh's vertices."""
+    """Draw the mesh in its colours and by instance, with a box around each; returns its vertices (n, 3)."""
     mesh, objects = find(dataset, Reconstruction, name), find(dataset, ObjectInstances, name)
     vertices = np.zeros((0, 3), np.float32)
     if mesh is not None:
@@ -43,12 +43,12 @@ def draw_scene(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str) -> n
             normals = _vertex_normals(vertices, mesh.triangles)
             sheet.fix(("world", "instances"), _mesh(mesh, instance_colours(instance, mesh.colors), normals))
             _draw_boxes(sheet, objects, vertices)
-    drawn.note(fits, "instances", "found on another reconstruction; bask-data run")
+    drawn.note(fits, "instances", "made from another reconstruction; bask-data run")
     return vertices
 
 
 def _mesh(mesh: Reconstruction, colours: np.ndarray, normals: np.ndarray | None = None) -> Any:
-    """Seen from outside one looks through the walls of a room, as into a doll's house."""
+    """The mesh with front faces only: from outside, a room's walls do not hide what is inside."""
     import rerun as rr
 
     return rr.Mesh3D(
@@ -61,7 +61,7 @@ def _mesh(mesh: Reconstruction, colours: np.ndarray, normals: np.ndarray | None 
 
 
 def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(n, 3) float32 unit normals, triangles weighing as much as their area."""
+    """Unit normals (n, 3) float32, with triangles weighted by their area."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     of_triangles = np.cross(b - a, c - a)
     normals = np.zeros((len(vertices), 3))
@@ -72,7 +72,7 @@ def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def _draw_boxes(sheet: Sheet, objects: ObjectInstances, vertices: np.ndarray) -> None:
-    """The box around each object's vertices, along the world's axes."""
+    """Draw the box around each object's vertices, along the world's axes."""
     import rerun as rr
 
     rows = [(row, vertices[objects.vertex_instance == row.id]) for row in objects.instances]
@@ -93,7 +93,7 @@ def _draw_boxes(sheet: Sheet, objects: ObjectInstances, vertices: np.ndarray) ->
 
 
 def support_plane(dataset: Dataset, name: str) -> np.ndarray | None:
-    """Of the scene's objects, or None where they were not found yet."""
+    """Support plane (4,) of the scene's objects, or None without objects."""
     objects = find(dataset, ObjectInstances, name) if name in dataset.file.scenes else None
     if objects is None:
         return None
@@ -102,7 +102,7 @@ def support_plane(dataset: Dataset, name: str) -> np.ndarray | None:
 
 
 def measured_points(source: Recording) -> np.ndarray:
-    """Points (n, 3) that the first camera measured in a few frames, world frame."""
+    """Points (n, 3) that the first camera measured in a few frames, metres, world frame."""
     points = [np.zeros((0, 3))]
     for camera in source.cameras[:1]:
         for i_frame in spread_frames(camera.n_frames, 3):
@@ -114,7 +114,7 @@ def measured_points(source: Recording) -> np.ndarray:
 
 
 def first_eye(points: np.ndarray, source: Recording, support: np.ndarray | None) -> Eye | None:
-    """Above the cameras' side of the scene, far enough away to see all of it."""
+    """The first viewpoint: above the cameras' side of the scene, far enough away to see all of it."""
     poses = np.concatenate([np.zeros((0, 4, 4)), *(camera.world_from_cameras for camera in source.cameras)])
     if not len(points) or not len(poses):
         return None
@@ -125,11 +125,11 @@ def first_eye(points: np.ndarray, source: Recording, support: np.ndarray | None)
     eyes = poses[:, :3, 3]
     level = eyes.mean(axis=0) - centre
     level -= (level @ up) * up
-    if np.linalg.norm(level) < 0.1 * radius:  # Recorded from right above, or from within: as the first image stands.
+    if np.linalg.norm(level) < 0.1 * radius:  # Recorded from straight above or from the inside.
         level = poses[0, :3, 1] - (poses[0, :3, 1] @ up) * up
     length = float(np.linalg.norm(level))
     level = level / length if length > 1e-6 else np.linalg.svd(up[None])[2][1]
-    # Cameras far away would make the surface a dot.
+    # Distant cameras would shrink the surface to a dot.
     near = eyes[np.linalg.norm(eyes - centre, axis=1) < 4 * radius]
     low, high = np.min([low, *near], axis=0), np.max([high, *near], axis=0)
     target, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2

@@ -1,4 +1,4 @@
-"""What all drawing into a Rerun recording shares: entities of one item, times, and distrust of what was read."""
+"""One item's part of a Rerun recording: entities, times, and checks of what is read."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
     import rerun
 
 CORNER = 0.5
-"""Rerun counts pixels from the corner of the first one, we from its centre."""
+"""Offset from our pixels to Rerun's, whose origin is the corner of the first pixel, not its centre."""
 JPEG_QUALITY = 85
-"""Of OpenCV's 0 to 100: a tenth of the bytes, and no block is seen unless enlarged."""
+"""Quality, 0 to 100: a tenth of the bytes, without visible blocks unless enlarged."""
 N_FRAMES_UNFLUSHED = 8
 """Frames that may wait in memory for Rerun's writer."""
 FLUSH_SECONDS = 120
-"""Without a limit, Rerun may wait for ever for a writer that died of a full disk."""
+"""Seconds to wait for Rerun's writer; without a limit, Rerun waits forever for one that a full disk has killed."""
 GREY: Colour = (150, 150, 150)
-"""Of the cameras' way, and of true places that a view does not show."""
+"""Colour of camera paths, and of ground truth that a view does not show."""
 ORANGE: Colour = (240, 150, 40)
-"""Of the robot."""
+"""Colour of the robot."""
 
 
 @dataclass(frozen=True)
 class Eye:
-    """Where to look from at first, world frame, metres."""
+    """The first viewpoint, metres, world frame."""
 
     position: np.ndarray
     target: np.ndarray
@@ -48,8 +48,8 @@ class DrawnItem:
 
     Args:
         layers: entities that exist, by their first name below the item or its world.
-        heated: points that have heat maps, by camera.
-        believed: keypoints that have maps of what a filter believes, by camera.
+        heated: keypoints with heat maps, by camera.
+        believed: keypoints with belief maps, by camera.
     """
 
     name: str
@@ -60,13 +60,13 @@ class DrawnItem:
     believed: dict[str, list[str]] = field(default_factory=dict)
     eye: Eye | None = None
 
-    def note(self, there: bool, layer: str, otherwise: str) -> None:
-        """Say that a layer is there, or what would make it, or why it is not."""
-        if there:
+    def note(self, is_shown: bool, layer: str, reason: str) -> None:
+        """Record that a layer is shown, or else the command that makes it or the reason why it is missing."""
+        if is_shown:
             self.layers.add(layer)
             self.shown.layers.append(layer)
         else:
-            self.shown.missing.append(f"{layer} ({otherwise})")
+            self.shown.missing.append(f"{layer} ({reason})")
 
 
 class Sheet:
@@ -86,7 +86,7 @@ class Sheet:
 
     @contextmanager
     def at(self, *, frame: int, seconds: float | None = None, pair: int | None = None) -> Iterator[None]:
-        """What is logged within belongs to this frame."""
+        """Log what follows at this frame, these seconds after the first, and this pair of views."""
         self._recording.set_time("frame", sequence=frame)
         if seconds is not None:
             self._recording.set_time("time", duration=seconds)
@@ -96,13 +96,13 @@ class Sheet:
         self._recording.reset_time()
         self._n_frames += 1
         if self._n_frames % N_FRAMES_UNFLUSHED == 0:
-            # Rerun would take frames faster than it writes them, and keep the rest in memory.
+            # Rerun accepts frames faster than it writes them, and would keep the rest in memory.
             self._recording.flush(timeout_sec=FLUSH_SECONDS)
 
 
 @contextmanager
 def reading(artifact: Artifact) -> Iterator[None]:
-    """Whatever an artifact that does not hold together makes the libraries raise, as an error that names it."""
+    """Turn whatever libraries raise for an inconsistent artifact into `BadData` that names it."""
     try:
         yield
     except BaskError:
@@ -111,14 +111,18 @@ def reading(artifact: Artifact) -> Iterator[None]:
         raise BadData(
             artifact.path,
             "",
-            expected="arrays and names that belong together",
+            expected="consistent arrays and names",
             got=f"{type(error).__name__}: {str(error)[:200]}",
             fix=REMAKE,
         ) from error
 
 
 def expect(where: Any, field: str, array: np.ndarray, shape: tuple[int | None, ...], kind: str) -> np.ndarray:
-    """The array, if it has this shape (None: any) and sort of number (of "f", "u", "i"), and is finite."""
+    """The array, checked to be finite and of this shape (None: any) and dtype kind (of "f", "u", "i", "b").
+
+    Raises:
+        BadData: it is not; the error names `where` and `field`.
+    """
     fits = len(array.shape) == len(shape) and all(
         want is None or have == want for have, want in zip(array.shape, shape, strict=True)
     )
@@ -131,7 +135,7 @@ def expect(where: Any, field: str, array: np.ndarray, shape: tuple[int | None, .
 
 
 def name_labels(sheet: Sheet, places: Sequence[Sequence[str]], names: dict[int, str]) -> None:
-    """Colours and names of labels, for everything below these entities."""
+    """Log names and colours of labels, for everything below these entities."""
     import rerun as rr
 
     context = [rr.AnnotationInfo(id=0, label="background", color=(0, 0, 0, 0))]
@@ -143,12 +147,12 @@ def name_labels(sheet: Sheet, places: Sequence[Sequence[str]], names: dict[int, 
 
 
 def label_colour(label: int) -> Colour:
-    """The colour of an instance or label, as reports have it."""
+    """The colour of an instance or label, the same as in reports."""
     return ORANGE if label == ROBOT else instance_colour(label)
 
 
 def jpeg(rgb: np.ndarray) -> bytes:
-    """The image (h, w, 3) uint8 in a tenth of its bytes."""
+    """The image (h, w, 3) uint8 as JPEG, in a tenth of its bytes."""
     done, data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     assert done, "OpenCV encodes any 8-bit image"
     return data.tobytes()

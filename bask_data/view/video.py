@@ -1,4 +1,4 @@
-"""Keypoints over the frames of a demonstration, as a video that a browser plays."""
+"""Videos of keypoints over the frames of a demonstration, playable in browsers."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from bask_data.progress import progress
 from bask_data.view.sheet import reading
 
 VIDEO_WIDTH = 480
-"""Pixels of each camera's image in the video."""
+"""Width of each camera's image in the video, pixels."""
 GAP, LINE = 8, 30
-"""Pixels between images, and of a line of text."""
+"""Pixels between images, and height of a line of text."""
 FALLBACK_RATE = 20.0
-"""Where a recording does not tell."""
+"""Frames per second where a recording's times give none."""
 BACKGROUND, INK = (24, 26, 30), (225, 228, 232)
 _FONT, _SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
 
@@ -32,14 +32,14 @@ _FONT, _SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
 def write_videos(
     dataset: Dataset, folder: Path, items: Sequence[str], *, variant: str = "main", every: int = 1, force: bool = False
 ) -> dict[str, Path]:
-    """A video of each of these demonstrations that has a track, all of its cameras beside each other, in real time.
+    """Write a video of each of these demonstrations that has a track: its cameras side by side, in real time.
 
-    What the filter thinks a camera sees is a dot, what it thinks to be hidden a ring, what is outside of the image a
-    triangle at its edge; ellipses are one sigma wide, crosses true places where these are known.
+    A dot is a keypoint that the filter considers visible, a ring an occluded one, a triangle at the edge one out of
+    view. Ellipses are one sigma, crosses ground truth.
 
     Args:
-        every: shows each so many-th frame.
-        force: replace files of these names; each in one step, when the new one is whole.
+        every: show every n-th frame.
+        force: replace existing files, each in one step when the new one is complete.
 
     Returns:
         The files by demonstration.
@@ -48,7 +48,7 @@ def write_videos(
         MissingDependency: PyAV is not installed.
         UsageError: none of the items has a track.
         WouldOverwrite: a file exists.
-        BadData: a track cannot be read, or does not fit its recording.
+        BadData: a track cannot be read, or is inconsistent with its recording.
         BaskError: the files cannot be written.
     """
     import_av()
@@ -69,13 +69,15 @@ def write_videos(
             with reading(scored.track):
                 _write(scored, f"{name} ({variant}, {scored.track.metadata.filter})", file, every)
     except OSError as error:
-        fix = "see that the disk has room, and that you may write there."
-        raise BaskError(folder, "", expected="a place that takes all", got=str(error)[:200], fix=fix) from error
+        fix = "check that the disk has space and that you may write there."
+        raise BaskError(
+            folder, "", expected="a writable folder and enough disk space", got=str(error)[:200], fix=fix
+        ) from error
     return files
 
 
 def _write(scored: TrackScores, title: str, file: Path, every: int) -> None:
-    assert scored.recording is not None, "asked only where frames are there"
+    assert scored.recording is not None, "only recordings with frames are drawn"
     strips = camera_tracks(scored.track, scored.recording.cameras, scored.places)
     colours = palette(len(scored.track.names))
     frames = range(0, min(len(scored.track.mean), *(strip.camera.n_frames for strip in strips)), every)
@@ -85,13 +87,14 @@ def _write(scored: TrackScores, title: str, file: Path, every: int) -> None:
 
 
 def _rate(camera: Camera) -> float:
-    """Frames a second, by the time from one frame to the next."""
+    """Frames per second, by the median time between frames."""
     steps = np.diff(camera.time)
     step = float(np.median(steps)) if len(steps) else 0.0
     return 1.0 / step if np.isfinite(step) and step > 0 else FALLBACK_RATE
 
 
 def _size(strips: Sequence[CameraTrack]) -> tuple[int, int]:
+    """Height and width of the video, pixels."""
     heights = [max(1, round(strip.camera.height * VIDEO_WIDTH / strip.camera.width)) for strip in strips]
     return max(heights) + 2 * LINE, len(strips) * (VIDEO_WIDTH + GAP) - GAP
 
@@ -111,15 +114,15 @@ def _picture(
         _text(picture, strip.camera.name, left + 6, LINE - 10)
     time = strips[0].camera.time
     seconds = f", {time[i_frame] - time[0]:.2f} s" if len(time) > i_frame else ""
-    legend = "dot: seen   ring: hidden   triangle: outside   ellipse: one sigma"
-    truth = "   cross: truth" if scored.with_place.any() else ""
+    legend = "dot: visible   ring: occluded   triangle: out of view   ellipse: sigma"
+    truth = "   cross: ground truth" if scored.with_place.any() else ""
     _text(picture, f"{title}, frame {i_frame}{seconds}", 90, LINE - 10)
     _text(picture, legend + truth, 6, height - 10)
     return picture
 
 
 def _draw_outside(picture: np.ndarray, marks: Sequence[Mark], factor: float) -> None:
-    """Triangles at the edge, where keypoints outside of the image are nearest to it."""
+    """Draw triangles at the edge, nearest to keypoints outside the image."""
     height, width = picture.shape[:2]
     for mark in marks:
         point = mark.pixel.astype(np.float64) * factor

@@ -1,4 +1,4 @@
-"""Ways to look at a recording: the viewer in a window of its own, or in a browser."""
+"""Ways to show a recording: in the viewer's own window, or in a browser."""
 
 from __future__ import annotations
 
@@ -18,37 +18,43 @@ from bask_data.errors import BaskError, UsageError
 
 LOOPBACK = "127.0.0.1"
 VIEWER = (sys.executable, "-m", "rerun", "--new", "--bind", LOOPBACK)
-"""By itself the viewer listens to the whole network, and hands files to a viewer that is already open."""
+"""By default the viewer listens on all network interfaces, and hands files to a viewer that is already open."""
 
 
 def has_display(environment: Mapping[str, str] = os.environ, platform: str = sys.platform) -> bool:
-    """Whether a window could be opened here."""
+    """Whether a window can be opened."""
     if platform in ("darwin", "win32"):
         return True
     return bool(environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY"))
 
 
 def show(file: Path, command: tuple[str, ...] = VIEWER) -> None:
-    """Open a recording in the viewer, and come back when its window is closed.
+    """Open a recording in the viewer, and return when its window is closed.
 
     Args:
-        command: that starts the viewer.
+        command: starts the viewer, with the file as its last argument.
+
+    Raises:
+        BaskError: the viewer fails.
     """
     code = subprocess.run([*command, str(file)], check=False).returncode
     if code:
         raise BaskError(
-            "rerun", "", expected="a viewer that runs", got=f"exit code {code}", fix="use --web, or --save FILE.rrd."
+            "rerun", "", expected="a working viewer", got=f"exit code {code}", fix="use --web, or --save FILE.rrd."
         )
 
 
 def serve(file: Path, port: int, *, say: Callable[[str], None], wait: Callable[[], None] | None = None) -> None:
     """Show a recording in browsers of this machine until interrupted.
 
-    The viewer is at `port`; the recording is at the port after it, read from disk as often as a browser asks for it.
+    The viewer is at `port`, the recording at the next one, read from disk for each request.
 
     Args:
-        say: told where to look, when all is ready.
-        wait: comes back when it is enough.
+        say: called with the address when the viewer is ready.
+        wait: returns when serving is to end; by default never.
+
+    Raises:
+        UsageError: a port is in use.
     """
     import rerun as rr
 
@@ -71,7 +77,7 @@ def serve(file: Path, port: int, *, say: Callable[[str], None], wait: Callable[[
 
 
 def _port_taken(port: int, error: Exception) -> UsageError:
-    expected = f"ports {port} and {port + 1} to be free"
+    expected = f"ports {port} and {port + 1} free"
     return UsageError("view", "--port", expected=expected, got=str(error), fix="give another --port.")
 
 
@@ -81,7 +87,7 @@ def _forever() -> None:
 
 
 class _OneFile(BaseHTTPRequestHandler):
-    """Gives one file, whatever is asked for, to pages of one origin."""
+    """Serves one file, for any request, to pages of one origin."""
 
     def __init__(self, file: Path, origin: str, *request: object) -> None:
         self._file, self._origin = file, origin
@@ -92,10 +98,10 @@ class _OneFile(BaseHTTPRequestHandler):
             self.send_response(200)
             self.send_header("Content-Type", "application/octet-stream")
             self.send_header("Content-Length", str(os.fstat(stream.fileno()).st_size))
-            # Without it a browser refuses; with "*", any page it has open could read the recording.
+            # Without it browsers refuse the file; with "*", any open page could read the recording.
             self.send_header("Access-Control-Allow-Origin", self._origin)
             self.end_headers()
             shutil.copyfileobj(stream, self.wfile, 2**20)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Nothing: who asked for the file does not interest."""
+        """Log nothing."""

@@ -22,7 +22,7 @@ pytest.importorskip("rerun")
 @pytest.fixture(autouse=True)
 def network(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(DescriptorNet, "network", lambda self: ColourNetwork())
-    # Heat maps are another test's.
+    # Heat maps have their own tests.
     monkeypatch.setattr(item, "draw_heat", lambda *_: None)
 
 
@@ -45,30 +45,30 @@ def test_particles_of_each_frame_lie_around_the_tracks_mean_and_where_the_images
         away = np.linalg.norm(particles.mean(axis=1) - track.mean[i], axis=1)
         assert (away < 0.01).all()
     assert len(saved.all("/reach/world/cameras/wrist/particles", "Points2D:positions")[0]) > N_PARTICLES
-    # It looks elsewhere; some particles are always drawn anew from what it shows.
+    # The camera looks elsewhere; a few particles are always drawn from the observation.
     assert len(saved.all("/reach/world/cameras/wrist/particles", "Points2D:positions")[7]) < 0.02 * 3 * N_PARTICLES
 
 
 @pytest.mark.parametrize("filter", ["discrete", "expectation"])
-def test_without_particles_each_pixel_has_its_share(tmp_path: Path, filter: str) -> None:
+def test_filters_without_particles_show_a_map_for_each_keypoint(tmp_path: Path, filter: str) -> None:
     dataset = tracked_dataset(tmp_path / "d", filter=filter)
     save_recording(dataset, tmp_path / "a.rrd", Choice(["reach"], every=5, beliefs=True))
     saved = Recording(tmp_path / "a.rrd")
-    maps = sorted(one for one in saved.entities if "/belief/" in one)
+    maps = sorted(path for path in saved.entities if "/belief/" in path)
     assert maps == [f"/reach/belief/wrist/{i + 1}\\ k{i}" for i in range(3)]
     assert sorted(saved.all(maps[0], "EncodedImage:blob")) == [0, 5, 10]
 
 
-def test_a_track_that_comes_out_otherwise_is_said_so(tmp_path: Path) -> None:
+def test_a_track_that_differs_when_tracked_again_is_reported(tmp_path: Path) -> None:
     dataset = tracked_dataset(tmp_path / "d")
     publish_references(dataset, shift=30.0)
     shown = save_recording(dataset, tmp_path / "a.rrd", Choice(["reach"], every=4, beliefs=True))
-    assert "beliefs (tracked again, keypoints are elsewhere: bask-data encode --force)" in shown["reach"].missing
+    assert "beliefs (keypoints differ when tracked again: bask-data encode --force)" in shown["reach"].missing
 
 
-def test_a_track_of_the_truth_has_no_belief(tmp_path: Path) -> None:
+def test_a_track_of_ground_truth_has_no_belief(tmp_path: Path) -> None:
     dataset = tracked_dataset(tmp_path / "d")
     manifest = dataset.path(KeypointTrack, "reach") / "artifact.json"
     manifest.write_text(manifest.read_text().replace('"source": "network"', '"source": "truth"'))
     shown = save_recording(dataset, tmp_path / "a.rrd", Choice(["reach"], beliefs=True))
-    assert any(one.startswith("beliefs (the network or references") for one in shown["reach"].missing)
+    assert any(layer.startswith("beliefs (the track's network or references") for layer in shown["reach"].missing)

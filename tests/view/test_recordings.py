@@ -79,10 +79,10 @@ def alike(a: np.ndarray, b: np.ndarray) -> bool:
     return a.shape == b.shape and float(np.abs(blurred[0] - blurred[1]).mean()) < 3
 
 
-# What is there --------------------------------------------------------------------------------------------------------
+# Layers ---------------------------------------------------------------------------------------------------------------
 
 
-def test_every_thing_made_is_an_entity_and_what_is_not_made_is_named(shown):
+def test_every_artifact_is_an_entity_and_missing_ones_are_named(shown):
     found, saved = shown
     expected = {f"/scan-a/{name}" for name in SCENE} | {f"/demo-a/{name}" for name in DEMONSTRATION}
     assert saved.entities - {"/__properties"} == expected
@@ -98,7 +98,7 @@ def test_every_thing_made_is_an_entity_and_what_is_not_made_is_named(shown):
     )
 
 
-def test_what_is_not_made_yet_is_named_with_the_command_that_makes_it(tmp_path):
+def test_missing_artifacts_are_named_with_the_command_that_makes_them(tmp_path):
     dataset = Dataset.create(tmp_path / "d")
     image = np.zeros((4, 6, 3), np.uint8)
     for item, kind in (("a", Scan), ("b", Demonstration)):
@@ -128,7 +128,7 @@ def test_what_is_not_made_yet_is_named_with_the_command_that_makes_it(tmp_path):
 
 
 @pytest.mark.parametrize(("every", "frames"), [(1, [0, 1, 2, 3, 4, 5]), (2, [0, 2, 4]), (4, [0, 4]), (99, [0])])
-def test_each_so_many_th_frame_is_shown(filled, tmp_path, every, frames):
+def test_every_nth_frame_is_shown(filled, tmp_path, every, frames):
     found, saved = save(filled, tmp_path, "scan-a", every=every)
     assert found["scan-a"].frames == {"wrist": len(frames)}
     for path, component in (
@@ -142,7 +142,7 @@ def test_each_so_many_th_frame_is_shown(filled, tmp_path, every, frames):
         assert saved.times[path] - {"log_time"} == {"frame", "time"}
 
 
-def test_only_the_chosen_items_are_there(filled, tmp_path):
+def test_only_the_chosen_items_are_shown(filled, tmp_path):
     found, saved = save(filled, tmp_path, "demo-a")
     assert list(found) == ["demo-a"]
     assert {path.split("/")[1] for path in saved.entities} == {"demo-a", "__properties"}
@@ -260,7 +260,7 @@ def test_instances_of_another_reconstruction_are_named_and_not_drawn(filled: Dat
     row = InstanceRow(id=1, n_vertices=9, area_m2=0.01, centroid=(0, 0, 0), extents=(0.1, 0.1, 0.1))
     publish_artifact(dataset, ObjectInstances, "scan-a", lambda out: _write_objects(out, np.ones(7, np.int32), [row]))
     found, saved = save(dataset, tmp_path, "scan-a")
-    assert "instances (found on another reconstruction; bask-data run)" in found["scan-a"].missing
+    assert "instances (made from another reconstruction; bask-data run)" in found["scan-a"].missing
     assert "/scan-a/world/instances" not in saved.entities
 
 
@@ -310,7 +310,7 @@ def test_no_more_pairs_than_asked_for_are_shown(filled, tmp_path):
 # Demonstrations -------------------------------------------------------------------------------------------------------
 
 
-def test_keypoints_stand_where_the_filter_thinks_with_its_one_sigma_ellipsoid(filled, saved):
+def test_keypoints_are_at_the_means_of_the_track_with_one_sigma_ellipsoids(filled, saved):
     track = KeypointTrack(filled.path(KeypointTrack, "demo-a"))
     assert sorted(saved.all("/demo-a/world/keypoints", "Points3D:positions")) == list(range(5))
     for i in range(5):
@@ -402,7 +402,7 @@ def described(filled: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Data
     return dataset
 
 
-def test_each_point_has_its_heat_map_best_match_and_true_place(described, tmp_path):
+def test_each_keypoint_has_its_heat_map_best_match_and_ground_truth(described, tmp_path):
     found, saved = save(described, tmp_path, "scan-a", "demo-a")
     picks = ReferenceKeypoints(described.path(ReferenceKeypoints)).picks
     finder = Finder(described, "main", DescriptorNet(described.path(DescriptorNet)), picks)
@@ -440,13 +440,13 @@ def escaped(name: str) -> str:
     return name.replace(" ", "\\ ")
 
 
-def test_of_long_recordings_some_frames_have_heat_maps(described, tmp_path, monkeypatch):
+def test_long_recordings_have_heat_maps_of_some_frames(described, tmp_path, monkeypatch):
     monkeypatch.setattr("bask_data.view.heat.N_HEATED_FRAMES", 2)
     _, saved = save(described, tmp_path, "scan-a", every=2)
     assert sorted(saved.all(f"/scan-a/heat/wrist/{escaped('1 corner')}/map", "EncodedImage:blob")) == [0, 4]
 
 
-def test_points_of_objects_that_are_not_there_have_no_heat_maps(filled: Dataset, tmp_path):
+def test_keypoints_on_absent_objects_have_no_heat_maps(filled: Dataset, tmp_path):
     dataset = copied(filled, tmp_path / "d")
     publish_network(dataset)
     size = {"wrist": (5, (HEIGHT, WIDTH), lambda _: np.zeros((HEIGHT, WIDTH), np.uint8))}
@@ -455,7 +455,7 @@ def test_points_of_objects_that_are_not_there_have_no_heat_maps(filled: Dataset,
         found, saved = save(dataset, tmp_path, "demo-a")
         there = {path.split("/")[4] for path in saved.entities if path.startswith("/demo-a/heat/wrist/")}
         assert there == {escaped(point) for point in points}
-    assert "heat maps (none of the points' objects is here)" in found["demo-a"].missing
+    assert "heat maps (none of the keypoints' objects is in this recording)" in found["demo-a"].missing
 
 
 # Files ----------------------------------------------------------------------------------------------------------------
@@ -472,7 +472,7 @@ def test_a_file_is_replaced_only_if_asked_to_and_at_once(filled, tmp_path):
     assert [one.name for one in tmp_path.iterdir()] == ["a.rrd"]
 
 
-def test_what_fails_leaves_the_old_file_and_nothing_else(filled: Dataset, tmp_path):
+def test_a_failure_leaves_the_old_file_and_nothing_else(filled: Dataset, tmp_path):
     dataset = copied(filled, tmp_path / "d")
     (tmp_path / "out").mkdir()
     file = tmp_path / "out" / "a.rrd"
@@ -488,13 +488,13 @@ def test_what_fails_leaves_the_old_file_and_nothing_else(filled: Dataset, tmp_pa
 @pytest.mark.parametrize(
     ("name", "message"), [("a.txt", "expected a name that ends in .rrd"), ("d.rrd", "expected a file, got a directory")]
 )
-def test_the_viewer_could_not_open_such_a_file(filled, tmp_path, name, message):
+def test_a_file_that_the_viewer_could_not_open_is_refused(filled, tmp_path, name, message):
     (tmp_path / "d.rrd").mkdir()
     with pytest.raises(UsageError, match=message):
         save_recording(filled, tmp_path / name, Choice(["scan-a"]), force=True)
 
 
-def test_nothing_to_show_is_said_so(tmp_path):
+def test_nothing_to_show_is_an_error(tmp_path):
     from bask_data.dataset import Source
 
     dataset = Dataset.create(tmp_path / "d")
@@ -504,7 +504,7 @@ def test_nothing_to_show_is_said_so(tmp_path):
     assert not (tmp_path / "a.rrd").exists()
 
 
-def test_rerun_switched_off_is_said_so(filled, tmp_path):
+def test_rerun_switched_off_is_an_error(filled, tmp_path):
     code = f"""
 from pathlib import Path
 from types import SimpleNamespace
@@ -530,11 +530,11 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 save_recording(dataset, Path({str(tmp_path / "a.rrd")!r}), Choice(["scan-a"]))
 """
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=240)
-    assert f"{BaskError.__name__}: {tmp_path / 'a.rrd'}: expected a file that takes all" in ended.stderr
+    assert f"{BaskError.__name__}: {tmp_path / 'a.rrd'}: expected a writable file and enough disk space" in ended.stderr
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_writer_that_never_ends_is_given_up(monkeypatch):
+def test_a_writer_that_never_finishes_is_abandoned(monkeypatch):
     import rerun
 
     released, unregistered = threading.Event(), []
@@ -547,7 +547,7 @@ def test_a_writer_that_never_ends_is_given_up(monkeypatch):
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peaks are read from /proc")
 def test_memory_does_not_grow_with_the_frames(tmp_path):
-    """Of noise, which cannot be compressed: what is not written at once has to be somewhere."""
+    """Noise cannot be compressed, so what is not written at once stays in memory."""
     rng = np.random.default_rng(0)
     noise = [rng.integers(1, 60000, (240, 320)).astype(np.uint16) for _ in range(4)]
     colour = [rng.integers(0, 255, (240, 320, 3)).astype(np.uint8) for _ in range(4)]
@@ -571,7 +571,7 @@ from bask_data.dataset import Dataset
 from bask_data.view.choice import Choice
 from bask_data.view.saving import save_recording
 save_recording(Dataset({str(dataset.root)!r}), Path({str(file)!r}), Choice([{item!r}]))
-# What getrusage tells of a child begins with its parent's size.
+# The peak that getrusage reports for a child starts from its parent's size.
 print(next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if line[:6] == "VmHWM:"))
 """
         ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -699,10 +699,10 @@ def _break_track(dataset: Dataset) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "message"),
+    ("corrupt", "message"),
     [
         (_break_masks, r"masks/scan-a/wrist: frame 0: expected shape 96 x 128, got \(96, 129\)"),
-        (_break_truth, r"truth/scan-a: expected arrays and names that belong together, got IndexError.*frame 2"),
+        (_break_truth, r"truth/scan-a: expected consistent arrays and names, got IndexError.*frame 2"),
         (_break_mesh, "reconstruction/scan-a: vertices: expected finite numbers, got NaN"),
         (_break_time, "scan/scan-a/wrist: time: expected finite numbers"),
         (_break_pairs("wrist", 77, 1.0), "pairs.parquet: pair 0: expected frames of the scan, got frame 77 of 'wrist'"),
@@ -713,9 +713,9 @@ def _break_track(dataset: Dataset) -> None:
         (_break_track, r"keypoints/main/demo-a: mean: expected shape 1 x 1 x 3, got \(1, 2, 3\)"),
     ],
 )
-def test_what_does_not_hold_together_is_our_error(filled: Dataset, tmp_path, spoil, message):
+def test_an_inconsistent_artifact_is_our_error(filled: Dataset, tmp_path, corrupt, message):
     dataset = copied(filled, tmp_path / "d")
-    spoil(dataset)
+    corrupt(dataset)
     with pytest.raises(BadData, match=message):
         save_recording(dataset, tmp_path / "a.rrd", Choice(dataset.items("recording")))
     assert not list(tmp_path.glob("*.rrd"))

@@ -32,7 +32,7 @@ def is_near(picture: np.ndarray, centre: np.ndarray, colour: tuple[int, int, int
     return bool((np.abs(picture[disc].astype(int) - colour).max(axis=1) < 60).all())
 
 
-def test_a_video_shows_each_frame_in_real_time_with_dots_for_what_is_seen_and_rings_for_the_rest(
+def test_a_video_shows_each_frame_in_real_time_with_dots_for_visible_keypoints_and_rings_for_occluded_ones(
     filled: Dataset, tmp_path: Path
 ) -> None:
     files = write_videos(filled, tmp_path / "deep" / "v", ["scan-a", "demo-a"])
@@ -54,12 +54,12 @@ def test_a_video_shows_each_frame_in_real_time_with_dots_for_what_is_seen_and_ri
         assert is_near(picture, ring, hidden, 0.8)
 
 
-def test_each_so_many_th_frame_keeps_the_time(filled: Dataset, tmp_path: Path) -> None:
+def test_every_nth_frame_keeps_the_time(filled: Dataset, tmp_path: Path) -> None:
     pictures, rate = frames_of(write_videos(filled, tmp_path, ["demo-a"], every=2)["demo-a"])
     assert (len(pictures), rate) == (3, 15.0)
 
 
-def test_what_is_outside_of_the_image_points_from_its_edge(filled: Dataset, tmp_path: Path) -> None:
+def test_a_keypoint_out_of_view_is_a_triangle_at_the_edge(filled: Dataset, tmp_path: Path) -> None:
     dataset = copied(filled, tmp_path / "d")
 
     def fill(out: Path) -> None:
@@ -93,13 +93,13 @@ def test_a_video_is_replaced_only_if_asked_to(filled: Dataset, tmp_path: Path, m
     assert [one.name for one in tmp_path.iterdir()] == ["demo-a.mp4"]
 
 
-def test_a_place_where_nothing_can_be_written_is_told(filled: Dataset, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_an_error(filled: Dataset, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(BaskError, match="expected a place that takes all, got .*Not a directory"):
+    with pytest.raises(BaskError, match="expected a writable folder and enough disk space, got .*Not a directory"):
         write_videos(filled, tmp_path / "file" / "v", ["demo-a"])
     answer = CliRunner().invoke(app, ["view", str(filled.root), "--video", "/proc/zz"])
     assert answer.exit_code == 1
-    assert "/proc/zz: expected a place that takes all" in " ".join(answer.stderr.split())
+    assert "/proc/zz: expected a writable folder and enough disk space" in " ".join(answer.stderr.split())
 
 
 def test_without_a_track_there_is_no_video(filled: Dataset, tmp_path: Path) -> None:

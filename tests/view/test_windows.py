@@ -40,14 +40,14 @@ def free_port() -> int:
             except OSError:
                 continue
             return port
-    raise AssertionError("no two free ports beside each other")
+    raise AssertionError("no two consecutive free ports")
 
 
 # Windows --------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("environment", "platform", "there"),
+    ("environment", "platform", "has_one"),
     [
         ({}, "linux", False),
         ({"DISPLAY": ""}, "linux", False),
@@ -56,18 +56,18 @@ def free_port() -> int:
         ({}, "darwin", True),
     ],
 )
-def test_a_display_is_known_by_the_environment(environment, platform, there):
-    assert has_display(environment, platform) is there
+def test_a_display_is_known_by_the_environment(environment, platform, has_one):
+    assert has_display(environment, platform) is has_one
 
 
-def test_the_viewer_is_given_the_file_and_waited_for(tmp_path):
+def test_the_viewer_opens_the_file_and_is_waited_for(tmp_path):
     code = "import sys, time; time.sleep(0.2); open(sys.argv[1] + '.seen', 'w').close()"
     show(tmp_path / "a.rrd", (sys.executable, "-c", code))
     assert (tmp_path / "a.rrd.seen").exists()
 
 
 def test_a_viewer_that_fails_says_what_to_do():
-    with pytest.raises(BaskError, match="expected a viewer that runs, got exit code 7.  fix: use --web, or --save"):
+    with pytest.raises(BaskError, match="expected a working viewer, got exit code 7.  fix: use --web, or --save"):
         show(Path("a.rrd"), (sys.executable, "-c", "raise SystemExit(7)"))
 
 
@@ -90,13 +90,13 @@ def test_a_browser_of_this_machine_gets_the_viewer_and_the_file(tmp_path):
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_a_port_that_is_taken_is_said_so(tmp_path, which):
+def test_a_port_in_use_is_reported(tmp_path, which):
     port = free_port()
     with socket.socket() as taken:
         taken.bind(("0.0.0.0", port + which))
         taken.listen()
         with pytest.raises(
-            UsageError, match=f"--port: expected ports {port} and {port + 1} to be free.*another --port"
+            UsageError, match=f"--port: expected ports {port} and {port + 1} free, got .*another --port"
         ):
             serve(tmp_path / "a.rrd", port, say=print, wait=lambda: None)
 
@@ -104,7 +104,7 @@ def test_a_port_that_is_taken_is_said_so(tmp_path, which):
 # The command ----------------------------------------------------------------------------------------------------------
 
 
-def test_without_a_display_one_is_told_what_to_do(filled):
+def test_without_a_display_the_error_says_what_to_do(filled):
     ended = view(filled.root)
     assert ended.exit_code == 2
     assert ended.stderr == (
@@ -126,17 +126,17 @@ def test_with_a_display_the_viewer_is_opened_and_its_file_goes_afterwards(filled
     assert not seen[0].exists()
 
 
-def test_what_is_shown_and_what_is_not_is_told_to_people_and_scripts(filled, tmp_path):
+def test_people_and_scripts_learn_what_is_shown_and_what_is_not(filled, tmp_path):
     ended = view(filled.root, "--save", tmp_path / "a.rrd", "--only", "demo-a,scan-a", "--every", "2", "--json")
     assert ended.exit_code == 0
-    told = json.loads(ended.stdout)
-    assert (told["command"], told["file"], told["bytes"]) == (
+    result = json.loads(ended.stdout)
+    assert (result["command"], result["file"], result["bytes"]) == (
         "view",
         str(tmp_path / "a.rrd"),
         (tmp_path / "a.rrd").stat().st_size,
     )
-    assert list(told["items"]) == ["demo-a", "scan-a"]
-    assert told["items"]["demo-a"]["frames"] == {"wrist": 3}
+    assert list(result["items"]) == ["demo-a", "scan-a"]
+    assert result["items"]["demo-a"]["frames"] == {"wrist": 3}
     assert "shown       scan-a: 3 frames of wrist; surface, instances, masks, truth" in ended.stderr
     assert "not there   demo-a: gripper (only cameras were recorded)" in ended.stderr
     assert f"open it with: rerun {tmp_path / 'a.rrd'}" in ended.stderr
@@ -181,7 +181,7 @@ def test_an_empty_dataset_has_nothing_to_show(tmp_path):
     assert "expected a recording, got none in the dataset.  fix: bask-data ingest --help" in ended.stderr
 
 
-def test_without_rerun_one_is_told_what_to_install(filled, tmp_path, monkeypatch):
+def test_without_rerun_the_error_says_what_to_install(filled, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     ended = view(filled.root, "--save", tmp_path / "a.rrd")
     assert ended.exit_code == 5
