@@ -1,7 +1,7 @@
 """Parameters that a dataset's artifacts were requested with: they travel with it, in `requested.json`.
 
 What somebody asks for with `--config`, `--set` or an option is no part of the code, so without this file everyone else
-who opens the dataset would compare its artifacts with other parameters, and find them stale. docs/decisions/0061.
+who opens the dataset would compare its artifacts with other parameters, and find them stale. docs/decisions/0006.
 """
 
 from __future__ import annotations

@@ -31,6 +31,8 @@ def test_the_index_of_decisions_lists_every_note_once(pages: ModuleType) -> None
 
 
 def test_every_decision_begins_with_its_number_and_a_title(pages: ModuleType) -> None:
+    numbers = [note.name[:4] for note in pages.decisions()]
+    assert len(numbers) == len(set(numbers))
     for note in pages.decisions():
         first = note.read_text(encoding="utf-8").splitlines()[0]
         assert re.match(rf"# {int(note.name[:4])}\. \S", first), f"{note.name}: {first}"
