@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+import yaml
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -69,3 +70,25 @@ def test_building_the_site_needs_neither_torch_nor_open3d(pages: ModuleType) -> 
     )
     answer = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("link", "complaint"),
+    [
+        ("[here](there.md#place)", ""),
+        ("[here](nowhere.md)", "nowhere.md"),
+        ("[here](there.md#nowhere)", "does not contain an anchor"),
+        ("[here](/there.md)", "absolute link"),
+    ],
+)
+def test_a_link_that_leads_nowhere_fails_the_build(tmp_path: Path, link: str, complaint: str) -> None:
+    ours = yaml.safe_load((REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8"))
+    config = {"site_name": "test", "validation": ours["validation"], "theme": {"name": "mkdocs"}, "plugins": []}
+    (tmp_path / "mkdocs.yml").write_text(yaml.safe_dump(config))
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "index.md").write_text(f"# Home\n\n{link}\n")
+    (tmp_path / "docs" / "there.md").write_text("# There\n\n## Place\n")
+    mkdocs = [sys.executable, "-m", "mkdocs", "build", "--strict"]
+    answer = subprocess.run(mkdocs, cwd=tmp_path, capture_output=True, text=True)
+    assert (answer.returncode == 0) == (not complaint), answer.stderr
+    assert complaint in answer.stderr
