@@ -25,6 +25,7 @@ REPOSITORY = Path(__file__).parents[2]
 PAGES = [
     REPOSITORY / "README.md",
     REPOSITORY / "CONTRIBUTING.md",
+    REPOSITORY / "examples" / "README.md",
     *sorted((REPOSITORY / "docs").rglob("*.md")),
 ]
 BLOCK = re.compile(r"^( *)```(\w*)[^\n]*\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
@@ -182,11 +183,11 @@ def run_python(page: Path) -> dict[str, Any]:
 def test_the_python_of_the_readme_runs(place_with_a_dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(place_with_a_dataset)
     names = run_python(REPOSITORY / "README.md")
-    assert names["frame"].mask.shape == (HEIGHT, WIDTH)
+    assert names["ds"].scans["table1"][0].mask.shape == (HEIGHT, WIDTH)
     assert len(names["matches"]) > 0
-    assert names["keypoints"].shape == (8, PARAMS["reference"]["n"], 3)
-    assert next(iter(names["batches"]))["mask"].shape == (4, HEIGHT, WIDTH)
-    assert names["tracked"].mean.shape == names["keypoints"][-1].shape
+    assert names["keypoints"].mean.shape == (8, PARAMS["reference"]["n"], 3)
+    assert next(iter(names["loader"]))["rgb_a"].shape == (4, 3, HEIGHT, WIDTH)
+    assert names["tracked"].mean.shape == names["keypoints"].mean[-1].shape
 
 
 def test_the_python_of_its_page_runs(place_with_a_dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
