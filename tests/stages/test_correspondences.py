@@ -191,10 +191,20 @@ def test_same_seed_same_bytes_and_another_seed_others(dataset):
     assert run(dataset).digest != run(dataset, seed=1).digest
 
 
-def test_version_2_gives_the_golden_result(dataset):
+def cameras_without_ties():
+    """Ten cameras on an orbit. Frames four apart differ by 20 degrees, exactly the least angle of a pair, so rounding
+    in the BLAS kernel of a CPU would decide which of them are candidates. A tilt of a nanoradian settles it the way
+    the golden file was saved (OpenBLAS, Haswell kernel)."""
+    cameras = scenes.orbit(10, radius=0.5)
+    for camera, tilt in zip(cameras, 1e-9 * np.array([0, 0, 0, 0, 1, 1, 1, -1, 2, 0]), strict=True):
+        camera[:3, :3] = camera[:3, :3] @ [[1, 0, 0], [0, 1, tilt], [0, -tilt, 1]]
+    return cameras
+
+
+def test_version_2_gives_the_golden_result(tmp_path):
     golden = np.load(GOLDEN / "correspondences_v2.npz")
     assert correspondences.version == 2, "save a golden file for the new version"
-    matches = made(dataset, n_pairs=6, n_matches=30).matches()
+    matches = made(dataset_of(tmp_path / "d", cameras_without_ties()), n_pairs=6, n_matches=30).matches()
     for name in ("pair", "instance", "u_a", "v_a"):
         np.testing.assert_array_equal(matches[name].to_numpy(), golden[name])
     for name in ("u_b", "v_b"):
@@ -268,7 +278,7 @@ if __name__ == "__main__":  # Run as a module when the version was raised: pytho
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
-        fresh = made(dataset_of(Path(folder) / "d", scenes.orbit(10, radius=0.5)), n_pairs=6, n_matches=30).matches()
+        fresh = made(dataset_of(Path(folder) / "d", cameras_without_ties()), n_pairs=6, n_matches=30).matches()
         arrays = {name: fresh[name].to_numpy() for name in fresh.column_names}
         np.savez_compressed(GOLDEN / f"correspondences_v{correspondences.version}.npz", **arrays)
 
