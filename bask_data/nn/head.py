@@ -1,4 +1,4 @@
-"""From the features of an encoder to descriptors: all that is trained on top of a frozen one."""
+"""The descriptor head: from an encoder's features to descriptors; all that is trained on a frozen encoder."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 HEAD_WIDTH = 128
-"""Channels that features are gathered in. Chosen; sensitivity not measured."""
+"""Channels of the hidden layers. Chosen; sensitivity not measured."""
 
 
 class DescriptorHead(nn.Module):
-    """Features at stride 8 to descriptors: linearly, plus what a small network makes of them and their neighbours.
+    """Features at stride 8 to descriptors: a linear layer plus a small convolutional network.
 
-    The linear part keeps features that are near each other near, so training starts from what the encoder knows.
+    The linear layer keeps similar features similar, so training starts from what the encoder has learned.
 
     Args:
-        n_channels: of the features, one number for each group that is brought to the same scale by itself.
+        n_channels: channels of each group of features; every group is normalised separately.
     """
 
     def __init__(self, n_channels: tuple[int, ...], n_outputs: int) -> None:

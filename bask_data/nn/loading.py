@@ -1,4 +1,4 @@
-"""Batches made ahead of their use, so that training does not wait for them."""
+"""Prefetching of batches in threads, so that training does not wait for them."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import torch
 T = TypeVar("T")
 
 PREFETCHED = 3
-"""Batches made ahead by each thread: enough to bridge a slow one, few enough to cost no memory. Changes no result."""
+"""Batches prefetched per thread: enough to bridge a slow one, few enough for memory. Does not affect results."""
 
 
 @dataclass
 class Waited:
-    """Seconds spent waiting for batches so far."""
+    """Total time spent waiting for batches, seconds."""
 
     seconds: float = 0.0
 
@@ -26,25 +26,27 @@ class Waited:
 def ahead(
     make: Callable[[int], T], steps: Iterator[int], n_steps: int, waited: Waited
 ) -> Generator[tuple[int, T], None, None]:
-    """What `make` gives for each step, in order, made by threads: OpenCV, NumPy and zarr let go of Python's lock.
+    """Each step and `make(step)`, in order, computed ahead by threads: OpenCV, NumPy and Zarr release Python's lock.
 
-    Close it when it is not used to its end: its threads would else run on until the garbage collector comes by.
+    Close the generator if it is not exhausted, or its threads run until it is garbage-collected.
 
     Args:
-        steps: numbers of steps, one after the other; none is made from `n_steps` on.
-        waited: told how long each one was waited for.
+        make: thread-safe; its errors are raised when the step is reached.
+        steps: consecutive numbers of steps.
+        n_steps: no step from this number on is prefetched.
+        waited: the time spent waiting for each step is added to it.
     """
-    threads = 1 if torch.get_num_threads() < 4 and not torch.cuda.is_available() else 4
-    waiting: dict[int, Future[T]] = {}
-    with ThreadPoolExecutor(threads, thread_name_prefix="batches") as pool:
+    n_threads = 1 if torch.get_num_threads() < 4 and not torch.cuda.is_available() else 4
+    pending: dict[int, Future[T]] = {}
+    with ThreadPoolExecutor(n_threads, thread_name_prefix="batches") as pool:
         try:
             for step in steps:
-                for next_step in range(step, min(step + PREFETCHED * threads, n_steps)):
-                    if next_step not in waiting:
-                        waiting[next_step] = pool.submit(make, next_step)
+                for next_step in range(step, min(step + PREFETCHED * n_threads, n_steps)):
+                    if next_step not in pending:
+                        pending[next_step] = pool.submit(make, next_step)
                 begun = time.perf_counter()
-                made = waiting.pop(step).result()
+                batch = pending.pop(step).result()
                 waited.seconds += time.perf_counter() - begun
-                yield step, made
+                yield step, batch
         finally:
             pool.shutdown(wait=True, cancel_futures=True)

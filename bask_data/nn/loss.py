@@ -1,10 +1,10 @@
-"""What a descriptor network is trained for: matches alike, everything else apart.
+"""Losses for descriptor networks: matches close in descriptor space, non-matches far apart.
 
 Distances are z = |a - b| / sqrt(D), the root mean square difference over the D dimensions, so that margins and
-temperatures mean the same for every D.
+temperatures do not depend on D.
 
-Every loss is a mean over pairs of images, and what is logged are sums beside their counts: parts of a batch, computed
-one after the other or by several processes, add up to what the whole would have given.
+Every loss is a mean over pairs of images, and terms are logged as sums with their counts, so that parts of a batch,
+computed in sequence or by several processes, add up to the result of the whole batch.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from torch import Tensor
 from bask_data.nn.resnet import STRIDE
 
 TINY = 1e-6
-"""Squared distance of descriptors below which the square root is flattened: its slope at zero is infinite. A thousandth
-in the distance itself, far below the margins of 0.25 and 0.75; sensitivity not measured."""
+"""Added to squared distances before the square root, whose slope at zero is infinite. Corresponds to a distance of
+0.001, far below the margins of 0.25 and 0.75; sensitivity not measured."""
 
 
 @dataclass(frozen=True)
 class ContrastiveSettings:
-    """Margins, and the form of the hinge.
+    """Margins and form of the contrastive loss.
 
     Args:
-        form: `squared` hinges the squared distance, max(0, M - z^2), as the paper has it; `plain` squares the hinge of
-            the distance, max(0, M - z)^2, as Dense Object Nets did before.
-        hard_negatives: non-matches on the object and off it have a mean each, over those of the whole pair that lie
-            inside the margin: they keep their weight while such non-matches get rare.
-        normalised: distances are divided by sqrt(D). Without, margins are of plain Euclidean distances.
+        form: `squared` is the hinge of the squared distance, max(0, M - z^2), as in the paper; `plain` is the squared
+            hinge of the distance, max(0, M - z)^2, as in Dense Object Nets.
+        hard_negatives: average separately over the non-matches on the object and off it, each over those of the pair
+            inside the margin only, which keep their weight as they become rare.
+        normalised: divide distances by sqrt(D); otherwise margins refer to plain Euclidean distances.
     """
 
     margin_foreground: float = 0.25
@@ -46,10 +46,10 @@ class ContrastiveSettings:
 
 @dataclass(frozen=True)
 class Terms:
-    """A loss and what it is made of.
+    """A loss and its terms.
 
     Args:
-        logged: by name, a sum and the count it is divided by to give the term's mean; `loss` is among them.
+        logged: by name, the sum of a term and the count to divide it by for the mean; includes `loss`.
     """
 
     loss: Float[Tensor, ""]
@@ -71,15 +71,15 @@ def contrastive(
 ) -> Terms:
     """Mean over matches of z^2, plus the mean over non-matches of the hinge.
 
-    Each match carries its own mean over its non-matches, foreground and background together: their share is decided
-    where they are drawn, not here. `hard_negatives` counts otherwise.
+    The hinge is averaged over the non-matches of each match, foreground and background together: their shares are
+    decided in sampling. `hard_negatives` averages differently, see `ContrastiveSettings`.
 
     Args:
         non_matches_b: descriptors of the second image that do not correspond to `matches_a`.
         foreground: non-matches on the sampled object, with the smaller margin.
-        valid: non-matches that count.
+        valid: non-matches to use; the others are ignored.
 
-    Source: von Hartz et al. 2023, Eq. 1 (`squared`; the mean over matches is taken of both terms); Florence et al.
+    Source: von Hartz et al. 2023, Eq. 1 (`squared`; both terms are averaged over matches); Florence et al.
         2018, Sec. III (`plain` and `hard_negatives`).
     """
     unit = 1 if settings.normalised else matches_a.shape[-1]
@@ -113,15 +113,16 @@ def heat_map_entropy(
     alpha: float,
     refinement: int = 2,
 ) -> Float[Tensor, "b m"]:
-    """Cross-entropy between the heat map softmax(-alpha z) of each query and where it truly is.
+    """Cross-entropy between the heat map softmax(-alpha z) of each query and its true position.
 
-    This trains for exactly what keypoints are read from. The true position falls between grid points, so its
+    This trains the heat map that keypoints are computed from. The true position lies between grid points, so its
     probability is shared among the four around it.
 
     Args:
         queries: descriptors of the first image at the matches.
-        descriptors: the second image's, at stride 8.
+        descriptors: descriptors of the second image at stride 8.
         uv: the matches in the second image, pixels.
+        alpha: temperature of the heat map.
         refinement: grid points per cell and direction.
 
     Source: van den Oord et al. 2018 (InfoNCE) with every other pixel as a negative.
@@ -129,8 +130,8 @@ def heat_map_entropy(
     height, width = descriptors.shape[-2] * refinement, descriptors.shape[-1] * refinement
     fine = F.interpolate(descriptors, size=(height, width), mode="bilinear", align_corners=False).flatten(2)
     dimension = queries.shape[-1]
-    # |a - b|^2 = |a|^2 + |b|^2 - 2 ab: one matrix product instead of m h w differences of D numbers. Rounding may take
-    # it below zero.
+    # |a - b|^2 = |a|^2 + |b|^2 - 2 ab: one matrix product instead of m h w differences of D numbers. Rounding may make
+    # it negative.
     product = queries @ fine
     z_squared = queries.square().sum(-1)[..., None] + fine.square().sum(1)[:, None] - 2.0 * product
     logits = -alpha / math.sqrt(dimension) * (z_squared.clamp(min=0.0) + dimension * TINY).sqrt()
@@ -145,8 +146,8 @@ def bilinear_corners(
     """Flat indices and weights of the four grid points around each pixel.
 
     Args:
-        spacing: pixels between grid points; the first stands for the first `spacing` pixels.
-        height, width: of the grid.
+        spacing: pixels between grid points; the first lies at the centre of the first `spacing` pixels.
+        height, width: size of the grid.
     """
     position = (uv + 0.5) / spacing - 0.5
     u = position[..., 0].clamp(0, width - 1)
@@ -169,10 +170,10 @@ def infonce(
     alpha: float,
     match_weight: float,
 ) -> Terms:
-    """Cross-entropy of the heat maps in both directions, plus a share of the matches' z^2.
+    """Cross-entropy of the heat maps in both directions, plus `match_weight` times z^2 of the matches.
 
-    The softmax does not care how far matches are apart as long as all else is farther. The match term keeps them near
-    zero, where exp(-alpha z) is read as a likelihood.
+    The softmax depends on differences of distances only. The match term keeps the distances of matches near zero, as
+    their use in the observation likelihood exp(-alpha z) requires.
     """
     forward = heat_map_entropy(matches_a, descriptors_b, uv_b, alpha)
     backward = heat_map_entropy(matches_b, descriptors_a, uv_a, alpha)
@@ -184,8 +185,8 @@ def infonce(
 
 
 def _summed(values: Float[Tensor, "*n"] | Bool[Tensor, "*n"], chosen: Bool[Tensor, "*n"] | None = None) -> Tensor:
-    """The sum of what is chosen, and how many that is."""
+    """Sum and number of the chosen values; all if None."""
     with torch.no_grad():
-        # Doubles: a float stops counting in ones at 16 million, which a few large batches have of non-matches.
+        # Doubles: float32 cannot count beyond 16 million, and a few large batches have more non-matches.
         counted = torch.ones_like(values, dtype=torch.bool) if chosen is None else chosen
         return torch.stack([(values * counted).sum(dtype=torch.float64), counted.sum(dtype=torch.float64)])

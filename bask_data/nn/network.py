@@ -25,12 +25,13 @@ from bask_data.nn.weights import load_weights, read_weights
 
 @dataclass(frozen=True)
 class NetworkSettings:
-    """What a network is, beside its weights.
+    """Configuration of a network: everything but its weights.
 
     Args:
         backbone: one of `BACKBONES`.
-        height: pixels that images are resized to; the width follows from the image.
-        mean, std: of the colour channels in [0, 1], taken away and divided by. Default: those of the published weights.
+        descriptor_dim: number of dimensions D of a descriptor.
+        height: height that images are resized to, pixels; the width follows from the aspect ratio.
+        mean, std: normalisation of the colour channels in [0, 1]. Default: those of the published weights.
     """
 
     backbone: str
@@ -41,13 +42,13 @@ class NetworkSettings:
 
 
 class DescriptorNetwork(nn.Module):
-    """A Dense Object Net with everything needed to describe images.
+    """A Dense Object Net with the resizing and normalisation of its input.
 
     Args:
-        state: weights the encoder is built for, by name; they are looked at, not taken over.
+        state: weights, by name, that the encoder reads its sizes from; they are not loaded.
 
     Raises:
-        ValueError: there is no such backbone.
+        ValueError: the backbone is unknown.
     """
 
     def __init__(self, settings: NetworkSettings, state: Mapping[str, Tensor] | None = None) -> None:
@@ -62,15 +63,15 @@ class DescriptorNetwork(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where the weights are."""
+        """Device of the weights."""
         return next(self.encoder.parameters()).device
 
     def trainable_parameters(self) -> Iterator[nn.Parameter]:
-        """Parameters that training changes: of a frozen encoder the head's."""
+        """Parameters that training changes: only the head's if the encoder is frozen."""
         return (parameter for parameter in self.parameters() if parameter.requires_grad)
 
     def train(self, mode: bool = True) -> DescriptorNetwork:
-        """Set the mode; what is frozen stays as in use, or its batch statistics would drift."""
+        """Set the mode; a frozen encoder stays in evaluation mode, or its batch statistics would drift."""
         super().train(mode)
         if self._frozen:
             self.encoder.eval()
@@ -78,16 +79,16 @@ class DescriptorNetwork(nn.Module):
         return self
 
     def channels_last(self) -> None:
-        """Lay the weights out as the images are: convolutions on a CPU are faster so, and on a GPU no slower."""
+        """Store the weights channels-last, as the images are: faster convolutions on a CPU, no slower on a GPU."""
         for parameter in self.encoder.parameters():
             if parameter.ndim == 4:
                 parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
 
     def normalised(self, rgb: UInt8[Tensor, "b h w 3"]) -> Float[Tensor, "b 3 h w"]:
-        """Images as the network takes them."""
+        """Images normalised by `mean` and `std`, as the encoder expects them."""
         mean = torch.tensor(self.settings.mean, device=rgb.device) * 255.0
         std = torch.tensor(self.settings.std, device=rgb.device) * 255.0
-        # The permuted result is in memory with channels last already, which convolutions on a CPU are faster with.
+        # The permuted result is channels-last in memory, with which convolutions on a CPU are faster.
         return ((rgb.float() - mean) / std).permute(0, 3, 1, 2)
 
     def forward(self, rgb: UInt8[Tensor, "b h w 3"]) -> Float[Tensor, "b d h8 w8"]:
@@ -95,26 +96,26 @@ class DescriptorNetwork(nn.Module):
         return self.encoder(self.normalised(rgb))
 
     def input_size(self, size: tuple[int, int]) -> tuple[int, int]:
-        """(height, width) that an image of `size` is resized to: the network's height, the image's shape."""
+        """(height, width) that an image of `size` is resized to: the network's height, the image's aspect ratio."""
         height = self.settings.height
         width = max(round(height * size[1] / size[0] / STRIDE), 1) * STRIDE
         return height, width
 
     @torch.inference_mode()
     def cells(self, rgb: UInt8[ndarray, "*b h w 3"]) -> Float[Tensor, "*b d h8 w8"]:
-        """Descriptors at stride 8 of the resized image, the compact form of what `describe` gives."""
+        """Descriptors at stride 8 of the resized image: the output of `describe` before up-sampling."""
         images = rgb if rgb.ndim == 4 else rgb[None]
         size = self.input_size(images.shape[1:3])
         resized = np.stack([_resized(image, size) for image in images])
         was_training = self.training
         self.eval()
-        found = self(torch.from_numpy(resized).to(self.device)).float()
+        cells = self(torch.from_numpy(resized).to(self.device)).float()
         self.train(was_training)
-        return found if rgb.ndim == 4 else found[0]
+        return cells if rgb.ndim == 4 else cells[0]
 
     @torch.inference_mode()
     def describe(self, rgb: UInt8[ndarray, "*b h w 3"]) -> Float[Tensor, "*b d h2 w2"]:
-        """A descriptor for every pixel of the resized image; `input_size` tells its size."""
+        """A descriptor for every pixel of the resized image, whose size is `input_size`."""
         cells = self.cells(rgb)
         size = self.input_size((rgb.shape[-3], rgb.shape[-2]))
         full = upsampled(cells if rgb.ndim == 4 else cells[None], size)
@@ -122,7 +123,7 @@ class DescriptorNetwork(nn.Module):
 
     @torch.inference_mode()
     def descriptors_at(self, rgb: UInt8[ndarray, "h w 3"], uv: Float[ndarray, "m 2"]) -> Float[Tensor, "m d"]:
-        """Descriptors at pixels of the image as it is, before resizing."""
+        """Descriptors at pixels (u, v) of the original image."""
         size = (rgb.shape[0], rgb.shape[1])
         scaled = scale_pixels(uv.astype(np.float64), size, self.input_size(size)).astype(np.float32)
         return sampled(self.cells(rgb)[None], torch.from_numpy(scaled).to(self.device)[None])[0]
@@ -137,15 +138,15 @@ class DescriptorNetwork(nn.Module):
     def maps(
         self, cells: Float[Tensor, "*b d h8 w8"], references: Float[ndarray, "k d"]
     ) -> Float[ndarray, "*b k h2 w2"]:
-        """What `distance_maps` gives for the image that `cells` were computed from."""
+        """The result of `distance_maps` for the images from which `cells` were computed."""
         batch = cells if cells.ndim == 4 else cells[None]
-        found = maps_of_cells(batch, torch.from_numpy(references).to(cells.device)).cpu().numpy()
-        return found if cells.ndim == 4 else found[0]
+        distances = maps_of_cells(batch, torch.from_numpy(references).to(cells.device)).cpu().numpy()
+        return distances if cells.ndim == 4 else distances[0]
 
     def save(self, folder: Path) -> None:
         """Write `weights.safetensors` and `model.json`."""
         state = {name: value.detach().cpu().contiguous() for name, value in self.encoder.state_dict().items()}
-        # `save_file` would make a file that nobody but its owner may read.
+        # `save_file` would create a file that only its owner may read.
         (folder / "weights.safetensors").write_bytes(save(state))
         content = {
             "network": BACKBONES[self.settings.backbone].description,
@@ -156,15 +157,14 @@ class DescriptorNetwork(nn.Module):
 
 
 def create(settings: NetworkSettings, seed: int, weights: Path | None = None) -> DescriptorNetwork:
-    """An untrained network, by itself the same for the same seed.
+    """An untrained network, determined by the seed.
 
     Args:
-        weights: file of pretrained weights, .safetensors or torch's, in the names of the backbone's first publisher.
-            Default: those that belong to the backbone, or random ones. What they lack of the head keeps its random
-            start.
+        weights: file of pretrained weights, .safetensors or torch's, with the original publisher's names of tensors.
+            Default: the backbone's own, else random ones. Parameters of the head that are not in the file are random.
 
     Raises:
-        ValueError: there is no such backbone, the file is not of it, or it is not to be had without a file.
+        ValueError: the backbone is unknown, needs a file, or does not match the file.
     """
     backbone = named(settings.backbone)
     if weights is None and backbone.weights is not None:
@@ -179,15 +179,18 @@ def create(settings: NetworkSettings, seed: int, weights: Path | None = None) ->
 
 
 def load(folder: Path, device: str | torch.device | None = None) -> DescriptorNetwork:
-    """The network that `save` wrote, ready to describe; on the GPU by itself where there is one.
+    """The network that `save` wrote, in evaluation mode.
+
+    Args:
+        device: default: the GPU if there is one, else the CPU.
 
     Raises:
-        ValueError: the weights do not belong to the description.
+        ValueError: `model.json` is damaged or does not match the weights.
     """
     content = json.loads((folder / "model.json").read_text(encoding="utf-8"))
-    lacking = [name for name in ("backbone", "descriptor_dim", "height", "mean", "std") if name not in content]
-    if lacking:
-        raise ValueError(f"model.json: {lacking[0]}: expected a value, got none")
+    missing = [name for name in ("backbone", "descriptor_dim", "height", "mean", "std") if name not in content]
+    if missing:
+        raise ValueError(f"model.json: {missing[0]}: expected a value, got none")
     height = content["height"]
     if not (isinstance(height, int) and height > 0 and height % STRIDE == 0):
         raise ValueError(f"model.json: height: expected a multiple of {STRIDE}, got {height}")
@@ -211,14 +214,14 @@ def load(folder: Path, device: str | torch.device | None = None) -> DescriptorNe
 
 
 def best_device() -> torch.device:
-    """The GPU where there is one, else the CPU."""
+    """The GPU if there is one, else the CPU."""
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
 def distance_maps(descriptors: Float[Tensor, "d h w"], references: Float[Tensor, "k d"]) -> Float[Tensor, "k h w"]:
     """z = |a - b| / sqrt(D) of every pixel to each reference, by one matrix product."""
     dimension, height, width = descriptors.shape
-    # Distances do not change when both sides are moved, and the product loses fewer digits near the origin.
+    # A common shift does not change distances, and the product is more accurate near the origin.
     centre = references.mean(dim=0)
     pixels, centred = descriptors.flatten(1) - centre[:, None], references - centre
     z_squared = (centred @ pixels).mul_(-2.0)
@@ -228,11 +231,11 @@ def distance_maps(descriptors: Float[Tensor, "d h w"], references: Float[Tensor,
 
 
 def maps_of_cells(cells: Float[Tensor, "b d h8 w8"], references: Float[Tensor, "k d"]) -> Float[Tensor, "b k h w"]:
-    """What `distance_maps` gives for the up-sampled descriptors, without up-sampling them.
+    """Distance maps of the up-sampled descriptors, without up-sampling them.
 
-    A pixel's descriptor is a weighted mean of the cells' around it, p = sum w_i c_i. Its squared distance is therefore
-    |p - r|^2 = sum w_i |c_i - r|^2 - sum_{i<j} w_i w_j |c_i - c_j|^2: the cells' own, up-sampled, less a term that is
-    the same for all references. k + 1 maps take the place of D.
+    A pixel's descriptor is a weighted mean of the four cells around it, p = sum w_i c_i. Its squared distance is thus
+    |p - r|^2 = sum w_i |c_i - r|^2 - sum_{i<j} w_i w_j |c_i - c_j|^2: the up-sampled distances of the cells less a term
+    that is the same for all references. This up-samples k + 1 maps instead of D.
     """
     n, dimension, height, width = cells.shape
     centre = references.mean(dim=0)
@@ -247,14 +250,14 @@ def maps_of_cells(cells: Float[Tensor, "b d h8 w8"], references: Float[Tensor, "
 
 
 def _between(cells: Float[Tensor, "b d h8 w8"]) -> Float[Tensor, "b 1 h w"]:
-    """sum_{i<j} w_i w_j |c_i - c_j|^2 over the four cells around each pixel, by its bilinear weights w."""
+    """sum_{i<j} w_i w_j |c_i - c_j|^2 over the four cells around each pixel, with its bilinear weights w."""
     padded = F.pad(cells, (1, 1, 1, 1), mode="replicate")
     across = (padded[..., 1:] - padded[..., :-1]).square().sum(dim=1)
     down = (padded[..., 1:, :] - padded[..., :-1, :]).square().sum(dim=1)
     falling = (padded[..., 1:, 1:] - padded[..., :-1, :-1]).square().sum(dim=1)
     rising = (padded[..., 1:, :-1] - padded[..., :-1, 1:]).square().sum(dim=1)
     pairs = torch.stack([across[:, :-1], across[:, 1:], down[..., :-1], down[..., 1:], falling + rising], dim=1)
-    # All places between four cells repeat from each four to the next.
+    # The weights are the same between any four cells.
     to_next = (torch.arange(STRIDE, device=cells.device) + 0.5) / STRIDE
     a, b = to_next.repeat(STRIDE), to_next.repeat_interleave(STRIDE)
     at, bt = a * (1 - a), b * (1 - b)
@@ -264,7 +267,7 @@ def _between(cells: Float[Tensor, "b d h8 w8"]) -> Float[Tensor, "b 1 h w"]:
 
 
 def best_matches(distances: Float[Tensor, "k h w"], size: tuple[int, int]) -> Float[ndarray, "k 2"]:
-    """The pixel of least distance in each map, in pixels of the image of `size` (height, width) that the maps span."""
+    """The pixel (u, v) of least distance in each map, in pixels of the image of `size` (height, width)."""
     height, width = distances.shape[1:]
     best = distances.flatten(1).argmin(dim=1).cpu().numpy()
     return scale_pixels(np.stack([best % width, best // width], axis=-1).astype(np.float64), (height, width), size)
@@ -273,6 +276,6 @@ def best_matches(distances: Float[Tensor, "k h w"], size: tuple[int, int]) -> Fl
 def _resized(rgb: UInt8[ndarray, "h w 3"], size: tuple[int, int]) -> UInt8[ndarray, "h2 w2 3"]:
     if rgb.shape[:2] == size:
         return np.ascontiguousarray(rgb)
-    # Area averaging keeps the image's edges where they are, as scale_pixels assumes, and does not alias.
+    # Area averaging keeps the edges of the image in place, as scale_pixels assumes, and avoids aliasing.
     shrinking = size[0] < rgb.shape[0]
     return cv2.resize(rgb, (size[1], size[0]), interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR)

@@ -1,4 +1,4 @@
-"""Processes that train one network together, started by torchrun; or one alone."""
+"""Groups of processes, started by torchrun, that train one network; a single process is a group, too."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class TooManyProcesses(Exception):
-    """More processes than can have something to do."""
+    """More processes than pairs in a batch or than GPUs."""
 
     def __init__(self, expected: str, got: str) -> None:
         super().__init__(f"expected {expected}, got {got}")
@@ -27,10 +27,11 @@ class TooManyProcesses(Exception):
 
 @dataclass(frozen=True)
 class Group:
-    """This process among those that train together.
+    """This process's place in its group.
 
     Args:
-        rank: the first, 0, validates, saves and says what there is to say.
+        rank: process 0 validates, saves and reports.
+        size: number of processes.
     """
 
     rank: int = 0
@@ -41,36 +42,36 @@ class Group:
         return self.rank == 0
 
     def share_of(self, n_examples: int, n_parts: int) -> list[range]:
-        """This process's examples of a batch, in parts that are computed one after the other.
+        """This process's examples of a batch, in parts to be computed in sequence.
 
         Raises:
-            TooManyProcesses: there are fewer examples.
+            TooManyProcesses: there are more processes than examples.
         """
         if n_examples < self.size:
             raise TooManyProcesses(f"at most one for each of the batch's {n_examples} pairs", str(self.size))
-        mine = _cut(range(n_examples), self.size)[self.rank]
-        return _cut(mine, min(n_parts, len(mine)))
+        own = _cut(range(n_examples), self.size)[self.rank]
+        return _cut(own, min(n_parts, len(own)))
 
     def wrapped(self, network: nn.Module) -> nn.Module:
-        """The network as it is called in training: its gradients are means over the processes."""
+        """The network to call in training: its gradients are averaged over the processes."""
         if self.size == 1:
             return network
-        # Of a kernel of one pixel, torch takes other strides for other layouts, and says so for each process.
+        # The strides of 1x1 kernels are ambiguous between layouts, and torch warns about it in every process.
         warnings.filterwarnings("ignore", "Grad strides do not match bucket view strides")
         return DistributedDataParallel(network, gradient_as_bucket_view=True)
 
-    def sending(self, model: nn.Module, wanted: bool) -> AbstractContextManager[None]:
-        """Whether the gradients of a backward pass in here are exchanged, or just added to this process's own."""
-        return model.no_sync() if isinstance(model, DistributedDataParallel) and not wanted else nullcontext()
+    def exchanging(self, model: nn.Module, exchanged: bool) -> AbstractContextManager[None]:
+        """A context for backward passes: gradients are exchanged, or only accumulated in this process."""
+        return model.no_sync() if isinstance(model, DistributedDataParallel) and not exchanged else nullcontext()
 
     def summed(self, values: Tensor) -> Tensor:
-        """The sum of all processes' values."""
+        """The sum of `values` over the processes, in place."""
         if self.size > 1:
             distributed.all_reduce(values)
         return values
 
-    def told(self, value: T) -> T:
-        """The first process's value, in all."""
+    def broadcast(self, value: T) -> T:
+        """The first process's value, in every process."""
         if self.size == 1:
             return value
         box = [value]
@@ -83,10 +84,10 @@ ALONE = Group()
 
 @contextmanager
 def joined() -> Iterator[Group]:
-    """The group that torchrun started this process in, while it lasts.
+    """A context with the group that torchrun started this process in.
 
     Raises:
-        TooManyProcesses: there are fewer GPUs, but some.
+        TooManyProcesses: there are GPUs, but fewer than processes.
     """
     if torch.cuda.is_available():
         n_processes, n_gpus = int(os.environ["LOCAL_WORLD_SIZE"]), torch.cuda.device_count()
@@ -101,6 +102,6 @@ def joined() -> Iterator[Group]:
 
 
 def _cut(examples: range, n_parts: int) -> list[range]:
-    """Neighbours together, in parts that differ by one at most."""
+    """Consecutive parts whose lengths differ by at most one."""
     ends = [len(examples) * i // n_parts for i in range(n_parts + 1)]
     return [examples[first:end] for first, end in pairwise(ends)]

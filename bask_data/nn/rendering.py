@@ -1,6 +1,6 @@
-"""The pixels of augmented images: by OpenCV, or by torch where the images are needed on a GPU.
+"""Pixels of augmented images: by OpenCV, or by torch if they are needed on a GPU.
 
-Both make the same image, to the rounding of grey levels.
+Both give the same image up to the rounding of grey levels.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from bask_data.nn.augment import GRAIN, AugmentedView, Layer, grain, grain_of
 
 
 def drawn(view: AugmentedView) -> UInt8[ndarray, "h w 3"]:
-    """The image of a view, by OpenCV."""
+    """The image of a view, rendered by OpenCV."""
     height, width = view.size
     out = np.empty((height, width, 3), np.uint8)
     for layer in view.layers:
@@ -44,16 +44,16 @@ def drawn(view: AugmentedView) -> UInt8[ndarray, "h w 3"]:
 
 
 def drawn_on(views: Sequence[AugmentedView], device: torch.device) -> UInt8[Tensor, "b h w 3"]:
-    """The images of views of one size, made on a device."""
+    """The images of views of equal size, rendered by torch on a device."""
     height, width = views[0].size
     out = torch.zeros((len(views), 3, height, width), device=device)
     for level in range(max(len(view.layers) for view in views)):
-        of_shape = defaultdict(list)
+        by_shape = defaultdict(list)
         for i, view in enumerate(views):
             if level < len(view.layers):
-                of_shape[view.layers[level].picture.shape].append(i)
-        for chosen in of_shape.values():
-            _lay(out, chosen, [views[i].layers[level] for i in chosen])
+                by_shape[view.layers[level].picture.shape].append(i)
+        for indices in by_shape.values():
+            _composite(out, indices, [views[i].layers[level] for i in indices])
     matrix = to_device(np.stack([view.look.matrix for view in views]).astype(np.float32), device)
     out = (torch.einsum("bij,bjhw->bihw", matrix[..., :3], out) + matrix[..., 3, None, None]).clamp(0, 255)
     blurs = [view.look.blur for view in views]
@@ -68,8 +68,8 @@ def drawn_on(views: Sequence[AugmentedView], device: torch.device) -> UInt8[Tens
     return pixels.round().clamp(0, 255).to(torch.uint8)
 
 
-def _lay(out: Float[Tensor, "b 3 h w"], chosen: list[int], layers: list[Layer]) -> None:
-    """Put layers with pictures of one shape over some of the images."""
+def _composite(out: Float[Tensor, "b 3 h w"], indices: list[int], layers: list[Layer]) -> None:
+    """Draw layers with pictures of equal shape over the images with these indices."""
     size = (out.shape[2], out.shape[3])
     pictures = to_device(np.stack([layer.picture for layer in layers]), out.device).permute(0, 3, 1, 2).float()
     theta = np.stack([_theta(layer, size) for layer in layers]).astype(np.float32)
@@ -77,12 +77,12 @@ def _lay(out: Float[Tensor, "b 3 h w"], chosen: list[int], layers: list[Layer]) 
     images = F.grid_sample(pictures, grid, mode="bilinear", padding_mode="reflection", align_corners=False)
     everywhere = np.ones(size, bool)
     shown = to_device(np.stack([everywhere if layer.shown is None else layer.shown for layer in layers]), out.device)
-    index = torch.tensor(chosen, device=out.device)
+    index = torch.tensor(indices, device=out.device)
     out[index] = torch.where(shown[:, None], images, out[index])
 
 
 def _theta(layer: Layer, size: tuple[int, int]) -> Float[ndarray, "2 3"]:
-    """The transform from the view to the picture in torch's coordinates: -1 and 1 are the edges of an image."""
+    """`picture_from_view` in torch's coordinates, in which the edges of an image are at -1 and 1."""
     return (_unit_from_pixels(layer.picture.shape[:2]) @ np.linalg.inv(np.vstack([layer.out_from_picture, [0, 0, 1]])))[
         :2
     ] @ np.linalg.inv(_unit_from_pixels(size))
@@ -116,7 +116,7 @@ def _blurred(images: Float[Tensor, "b 3 h w"], blurs: list[float]) -> Float[Tens
 def to_device(array: ndarray, device: torch.device) -> Tensor:
     """The array as a tensor on a device."""
     tensor = torch.from_numpy(array)
-    # Only from pinned memory does a copy go on beside other work.
+    # Only copies from pinned memory are asynchronous.
     return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor.to(device)
 
 

@@ -1,6 +1,6 @@
-"""Residual networks for dense prediction: output stride 8, parameter names and shapes of torchvision's.
+"""Residual networks for dense prediction: output stride 8, torchvision's parameter names and shapes.
 
-torchvision itself is not needed. With its names, any file of ImageNet weights it publishes loads as it is.
+torchvision is not needed; its published ImageNet weights load unchanged.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 STRIDE = 8
-"""Input pixels a cell of the output covers, in each direction."""
+"""Input pixels per cell of the output, in each direction."""
 
 _LAYERS = {18: (2, 2, 2, 2), 34: (3, 4, 6, 3), 50: (3, 4, 6, 3), 101: (3, 4, 23, 3)}
 DEPTHS = tuple(_LAYERS)
 
 
 class BasicBlock(nn.Module):
-    """Two 3x3 convolutions around which the input is carried."""
+    """Two 3x3 convolutions with a skip connection."""
 
     expansion = 1
 
@@ -38,7 +38,7 @@ class BasicBlock(nn.Module):
 
 
 class Bottleneck(nn.Module):
-    """1x1, 3x3, 1x1 convolutions around which the input is carried; the stride is in the 3x3, as in torchvision."""
+    """1x1, 3x3, 1x1 convolutions with a skip connection; the 3x3 has the stride, as in torchvision."""
 
     expansion = 4
 
@@ -62,7 +62,11 @@ class Bottleneck(nn.Module):
 
 
 class DenseResNet(nn.Module):
-    """A ResNet whose last two layers are dilated, not strided, and a 1x1 convolution, `head`, in place of `fc`."""
+    """A ResNet with its last two layers dilated, not strided, and a 1x1 convolution, `head`, instead of `fc`.
+
+    Raises:
+        ValueError: the depth is none of `DEPTHS`.
+    """
 
     def __init__(self, depth: int, n_outputs: int) -> None:
         super().__init__()
@@ -74,8 +78,8 @@ class DenseResNet(nn.Module):
         self.bn1 = nn.BatchNorm2d(64)
         self.layer1 = _layer(block, 64, 64, n1)
         self.layer2 = _layer(block, 64 * block.expansion, 128, n2, stride=2)
-        # A layer that would halve the image keeps its size and spreads its taps instead. The first block of it still
-        # reads the layer before at that layer's spacing.
+        # A layer that would halve the resolution dilates its kernels instead. Its first block still has the dilation of
+        # the layer before.
         self.layer3 = _layer(block, 128 * block.expansion, 256, n3, dilations=(1, 2))
         self.layer4 = _layer(block, 256 * block.expansion, 512, n4, dilations=(2, 4))
         self.head = nn.Conv2d(512 * block.expansion, n_outputs, 1)
@@ -83,17 +87,17 @@ class DenseResNet(nn.Module):
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
-        # By its few outputs the head would start with descriptors tens of units apart, far beyond every margin.
+        # Initialised by its few outputs, the head would start with descriptors tens of units apart, beyond all margins.
         nn.init.normal_(self.head.weight, std=self.head.in_channels**-0.5)
         nn.init.zeros_(self.head.bias)
 
     def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b d h8 w8"]:
-        """The output at stride 8; cell (i, j) stands for the block of pixels from (8i, 8j) to (8i + 7, 8j + 7).
+        """The output at stride 8; cell (i, j) describes the block of pixels from (8i, 8j) to (8i + 7, 8j + 7).
 
-        Each of the three strided layers is centred on the first of the two pixels it joins, so that cell i would look
-        at pixel 8i, the corner of its block. Half a block of padding, and leaving out the cell that is gained, puts the
-        centre at 8i + 4: half a pixel from the middle, where bilinear up-sampling believes it to be. Without this,
-        descriptors move by seven pixels when the image is turned by half a turn.
+        Each of the three strided layers is centred on the first of the two pixels it joins, so that cell i would be
+        centred on pixel 8i, the corner of its block. Padding by half a block and dropping the extra cell moves the
+        centre to 8i + 4, half a pixel from the block's centre, which bilinear up-sampling assumes. Without this,
+        descriptors shift by seven pixels when the image is rotated by 180 degrees.
         """
         height, width = x.shape[-2:]
         rest = (-height % STRIDE, -width % STRIDE)
@@ -106,10 +110,10 @@ class DenseResNet(nn.Module):
 
 
 def upsampled(descriptors: Float[Tensor, "b d h8 w8"], size: tuple[int, int]) -> Float[Tensor, "b d h w"]:
-    """Descriptors at every pixel of the image of `size` (height, width) they were computed from.
+    """Descriptors at every pixel of the image of `size` (height, width) from which they were computed.
 
-    Bilinear between the centres of the cells, in the convention of `core.geometry.scale_pixels`. A size that is no
-    multiple of the stride is computed for the next one, then cut.
+    Bilinear between the centres of the cells, in the convention of `core.geometry.scale_pixels`. A size that is not a
+    multiple of the stride is rounded up to one, and the result cropped.
     """
     height, width = descriptors.shape[-2] * STRIDE, descriptors.shape[-1] * STRIDE
     full = F.interpolate(descriptors, size=(height, width), mode="bilinear", align_corners=False)
@@ -117,15 +121,15 @@ def upsampled(descriptors: Float[Tensor, "b d h8 w8"], size: tuple[int, int]) ->
 
 
 def sampled(descriptors: Float[Tensor, "b d h8 w8"], uv: Float[Tensor, "b m 2"]) -> Float[Tensor, "b m d"]:
-    """Descriptors at sub-pixel positions of the image, without up-sampling all of it.
+    """Descriptors at sub-pixel positions (u, v) of the image, without up-sampling all of it.
 
-    At pixel centres this is `upsampled`, in between its continuation.
+    Equal to `upsampled` at pixel centres.
     """
     cells = (uv + 0.5) / STRIDE
     size = torch.tensor([descriptors.shape[-1], descriptors.shape[-2]], dtype=uv.dtype, device=uv.device)
     grid = (2.0 * cells / size - 1.0)[:, None]
-    found = F.grid_sample(descriptors, grid, mode="bilinear", padding_mode="border", align_corners=False)
-    return found[:, :, 0].transpose(1, 2)
+    values = F.grid_sample(descriptors, grid, mode="bilinear", padding_mode="border", align_corners=False)
+    return values[:, :, 0].transpose(1, 2)
 
 
 def _conv3x3(n_in: int, n_out: int, stride: int, dilation: int) -> nn.Conv2d:

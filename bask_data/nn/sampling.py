@@ -1,7 +1,7 @@
-"""Training batches: each a pure function of the seed and the number of its step.
+"""Training batches: each a pure function of the seed and the number of the step.
 
-So they are the same whoever makes them, in whatever order, and after an interruption. A batch is planned first: which
-matches, which non-matches, how each image is changed. Its pixels are made from the plan, here or on a GPU.
+Batches therefore do not depend on the process or thread that makes them, on their order, or on interruptions. A batch
+is planned first: matches, non-matches, augmentation. Its pixels are rendered from the plan, on the CPU or on a GPU.
 """
 
 from __future__ import annotations
@@ -34,36 +34,39 @@ from bask_data.nn.augment import (
 )
 
 REDRAWS = 8
-"""Times a non-match that came too close to its match is drawn again before it is left out. Even where a tenth of the
-pool is too close, eight draws leave out one in 10^8."""
+"""Draws of a non-match that is too close to its match before it is discarded. Even if a tenth of the pixels are too
+close, eight draws discard one in 10^8."""
 
 N_OF_ITSELF = 4096
-"""Pixels of an object, at most, of which the matches of an image with itself are taken: 32 times the matches of a pair
-by default. Sensitivity not measured."""
+"""Largest number of pixels of an object from which the matches of an image with itself are drawn: 32 times the matches
+of a pair by default. Sensitivity not measured."""
 
 LEAST_SHOWN = 0.25
-"""Share of the matches in view that a pasted object has to leave visible; else the pair goes without it. Chosen;
+"""Share of the matches in view that must stay visible when an object is pasted; otherwise it is not pasted. Chosen;
 sensitivity not measured."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two images of one scene with their labels and matches, of any sizes."""
+    """Two images of one scene, of any sizes, with labels and matches."""
 
     rgb_a: UInt8[ndarray, "ha wa 3"]
     rgb_b: UInt8[ndarray, "hb wb 3"]
     instance_a: UInt8[ndarray, "ha wa"]
     """Visible instance at each pixel, 0 = none."""
     instance_b: UInt8[ndarray, "hb wb"]
+    """The same of the second image."""
     instance: UInt8[ndarray, "m"]
     """Instance of each match."""
     uv_a: Float[ndarray, "m 2"]
+    """Matches in the first image, pixels."""
     uv_b: Float[ndarray, "m 2"]
+    """Matches in the second image, pixels."""
 
 
 @runtime_checkable
 class PairSource(Protocol):
-    """Where pairs come from."""
+    """A source of pairs, indexed from 0."""
 
     @property
     def n_pairs(self) -> int:
@@ -71,30 +74,30 @@ class PairSource(Protocol):
 
     @property
     def scans(self) -> Int[ndarray, "p"]:
-        """The scan each pair is of, as a number: instances mean the same within a scan alone."""
+        """Number of the scan of each pair; instances are comparable within a scan only."""
 
     @property
     def n_instances(self) -> Int[ndarray, "p"]:
-        """Instances with matches in the scan each pair is of."""
+        """Number of instances with matches in the scan of each pair."""
 
     def pair(self, i_pair: int) -> Pair:
-        """One of them."""
+        """The pair with this index."""
 
 
 @dataclass(frozen=True)
 class SampleSettings:
-    """What a batch holds.
+    """Composition of a batch.
 
     Args:
         size: (height, width) of the network's input.
         n_pairs: pairs in a batch.
-        n_matches: matches of a pair, repeated where there are fewer.
+        n_matches: matches per pair, drawn with replacement if there are fewer.
         n_non_matches: per match; 0 for a loss that needs none.
         foreground_share: share of non-matches on the sampled instance; `auto` is the share of the image it covers.
-        clearance: pixels around the true match from which no non-match is taken.
-        self_pairs: probability that both images of a pair are the same one, changed apart: its matches are exact, where
-            those of two views are as far off as the cameras' poses, and lie anywhere on the object, where those of two
-            views need depth in both.
+        clearance: least distance of a non-match from the true match, pixels.
+        self_pairs: probability that both images of a pair are the same image, augmented independently: its matches are
+            exact and lie anywhere on the object, while those of two views are only as accurate as the camera poses and
+            need depth in both.
     """
 
     size: tuple[int, int]
@@ -108,7 +111,7 @@ class SampleSettings:
 
 @dataclass(frozen=True)
 class Examples:
-    """What a training learns from: pairs, and what becomes of them in a batch."""
+    """Training data: pairs, and how batches are made from them."""
 
     source: PairSource
     sample: SampleSettings
@@ -117,7 +120,7 @@ class Examples:
 
 @dataclass(frozen=True)
 class Batch:
-    """Input of one step, arrays or tensors. Images are of the network's size, coordinates in its pixels."""
+    """Input of one step, arrays or tensors. Images have the network's input size; coordinates are in its pixels."""
 
     rgb_a: UInt8[ndarray | Tensor, "b h w 3"]
     rgb_b: UInt8[ndarray | Tensor, "b h w 3"]
@@ -128,13 +131,13 @@ class Batch:
     valid: Bool[ndarray | Tensor, "b m n"]
 
     def on(self, device: torch.device) -> Batch:
-        """The same as tensors on a device."""
+        """The same batch as tensors on a device."""
         return Batch(*(rendering.to_device(getattr(self, field.name), device) for field in fields(self)))
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A batch before its images are made: what each of them shows, and the rest of `Batch` as it is."""
+    """A batch before rendering: a view for each image, and the other fields of `Batch`."""
 
     views_a: tuple[AugmentedView, ...]
     views_b: tuple[AugmentedView, ...]
@@ -153,11 +156,11 @@ def batch_of_step(
     augment: AugmentSettings,
     examples: range | None = None,
 ) -> Batch:
-    """The batch that belongs to a step.
+    """The batch of a step.
 
     Args:
-        examples: some of the step's pairs instead of all, for one of several processes or a part of a step. What an
-            example is depends on the seed, the step and its own number alone.
+        examples: numbers of the examples to compute, for one of several processes or a part of a step; default: all.
+            An example depends on the seed, the step and its own number only.
     """
     plan = plan_of_step(source, seed, step, sample, augment, examples)
     rgb_a, rgb_b = (np.stack([rendering.drawn(view) for view in views]) for views in (plan.views_a, plan.views_b))
@@ -172,15 +175,15 @@ def plan_of_step(
     augment: AugmentSettings,
     examples: range | None = None,
 ) -> Plan:
-    """The batch that belongs to a step, its images not made yet."""
-    chosen = range(sample.n_pairs) if examples is None else examples
-    found = [_example(source, sample, augment, np.random.default_rng((seed, step, i))) for i in chosen]
-    views_a, views_b, *arrays = zip(*found, strict=True)
+    """The batch of a step before rendering; arguments as for `batch_of_step`."""
+    numbers = range(sample.n_pairs) if examples is None else examples
+    planned = [_example(source, sample, augment, np.random.default_rng((seed, step, i))) for i in numbers]
+    views_a, views_b, *arrays = zip(*planned, strict=True)
     return Plan(views_a, views_b, *(np.stack(column) for column in arrays))
 
 
 def rendered(plan: Plan, device: torch.device) -> Batch:
-    """The planned batch as tensors, its images made on the device."""
+    """The planned batch as tensors, its images rendered on the device."""
     rgb = rendering.drawn_on([*plan.views_a, *plan.views_b], device)
     arrays = (plan.uv_a, plan.uv_b, plan.non_matches_b, plan.foreground, plan.valid)
     return Batch(*rgb.chunk(2), *(rendering.to_device(array, device) for array in arrays))
@@ -188,7 +191,7 @@ def rendered(plan: Plan, device: torch.device) -> Batch:
 
 @dataclass(frozen=True)
 class _Subject:
-    """What an example is of: an instance of a pair of images, and whether both are mirrored."""
+    """Subject of an example: an instance in a pair of images, and whether both are mirrored."""
 
     i_pair: int
     instance: int
@@ -197,25 +200,25 @@ class _Subject:
 
 @dataclass
 class _Side:
-    """One image of a pair on its way to an `AugmentedView`."""
+    """One image of a pair, with its place in an `AugmentedView` under construction."""
 
     rgb: UInt8[ndarray, "h w 3"]
     instance: UInt8[ndarray, "h w"]
     out_from_in: Float[ndarray, "2 3"]
     uv: Float[ndarray, "m 2"]
-    """The matches in the view."""
+    """The matches, pixels of the view."""
     labels: UInt8[ndarray, "h2 w2"]
-    """Visible instances in the view; 0 where something was pasted and off the crop."""
+    """Visible instances in the view; 0 under pasted objects and outside the crop."""
     shown: Bool[ndarray, "h2 w2"] | None
-    """Where the image has pixels for the view; None: everywhere."""
+    """Pixels of the view that show the image; None: all."""
     pasted: Layer | None = None
 
     def shows(self, instance: int) -> Bool[ndarray, "m"]:
-        """Matches at whose pixel the instance is seen."""
+        """Matches at whose pixel the instance is visible."""
         height, width = self.labels.shape
         inside = in_image(self.uv, height, width)
         u, v = np.rint(np.where(inside[:, None], self.uv, 0)).astype(int).T
-        # Rounding takes -0.5 to 0, but the far edge beyond the last pixel.
+        # Rounding takes -0.5 to 0, but takes the opposite edge beyond the last pixel.
         return inside & (self.labels[np.minimum(v, height - 1), np.minimum(u, width - 1)] == instance)
 
 
@@ -224,12 +227,12 @@ def _example(
 ) -> tuple[AugmentedView | ndarray, ...]:
     i_pair = int(rng.integers(source.n_pairs))
     pair = source.pair(i_pair)
-    # Instances are drawn evenly, not by their number of matches: small objects are not to be forgotten.
+    # Instances are drawn uniformly, not by their number of matches, or small objects would be neglected.
     chosen = int(rng.choice(np.unique(pair.instance)))
     of_chosen = pair.instance == chosen
     anchor = int(rng.choice(np.flatnonzero(of_chosen)))
     flipped = bool(rng.random() < augment.flip)
-    # Pairs are listed in one order, but matches are looked for from either side.
+    # Pairs are listed in one order; either image may be the first.
     both = [(pair.rgb_a, pair.instance_a, pair.uv_a), (pair.rgb_b, pair.instance_b, pair.uv_b)][:: rng.choice([1, -1])]
     if sample.self_pairs and rng.random() < sample.self_pairs:
         rgb, instance, uv = both[0]
@@ -241,19 +244,19 @@ def _example(
     a, b = (_placed(*image, anchor, flipped, sample.size, augment, rng) for image in both)
     visible = of_chosen & a.shows(chosen) & b.shows(chosen)
     if not visible.any():
-        # Matches at an object's very edge may all round to pixels beyond it. They are right all the same.
+        # Matches at the very edge of an object may all round to pixels outside it. They are still correct.
         visible = of_chosen & in_image(a.uv, *sample.size) & in_image(b.uv, *sample.size)
     elif rng.random() < augment.composition:
         visible = _composed(a, b, visible, source, _Subject(i_pair, chosen, flipped), augment, rng)
     candidates = np.flatnonzero(visible)
-    taken = rng.choice(candidates, sample.n_matches, replace=len(candidates) < sample.n_matches)
-    others = non_matches(b.labels == chosen, b.uv[taken], sample, rng)
-    # Looks are drawn last, so that where a match lies does not depend on how images are coloured.
-    return _view(a, augment, rng), _view(b, augment, rng), a.uv[taken], b.uv[taken], *others
+    drawn = rng.choice(candidates, sample.n_matches, replace=len(candidates) < sample.n_matches)
+    others = non_matches(b.labels == chosen, b.uv[drawn], sample, rng)
+    # Looks are drawn last, so that positions of matches do not depend on colour augmentation.
+    return _view(a, augment, rng), _view(b, augment, rng), a.uv[drawn], b.uv[drawn], *others
 
 
 def _pixels_of(mask: Bool[ndarray, "h w"], rng: Generator) -> Float[ndarray, "m 2"]:
-    """Pixels of a mask, evenly drawn."""
+    """Pixels (u, v) of a mask, drawn uniformly."""
     on = np.flatnonzero(mask)
     v, u = np.divmod(rng.choice(on, min(N_OF_ITSELF, len(on)), replace=False), mask.shape[1])
     return np.stack([u, v], axis=1).astype(np.float64)
@@ -269,7 +272,7 @@ def _placed(
     augment: AugmentSettings,
     rng: Generator,
 ) -> _Side:
-    """An image's place in its view."""
+    """An image placed at random in its view, with the anchor (an index into `uv`) in view."""
     out_from_in = random_affine(instance.shape, size, uv[anchor].astype(np.float64), flipped, augment, rng)
     labels = warped_labels(instance, out_from_in, size)
     shown = covered(instance.shape, out_from_in, size)
@@ -291,14 +294,14 @@ def _composed(
     augment: AugmentSettings,
     rng: Generator,
 ) -> Bool[ndarray, "m"]:
-    """Paste another object over both views; gives the matches that are still visible.
+    """Paste another object over both views, in place; return the matches that are still visible.
 
-    It is pasted over and not behind: what the sampled object is to learn is to be half hidden.
+    It is pasted in front of the sampled object, not behind it, to train for partial occlusion.
     """
     several = source.n_instances[subject.i_pair] > 1
     same = source.scans == source.scans[subject.i_pair]
-    # A non-match on the same object would be wrong. Within a scan, another number is another object. The objects of
-    # another scan may well be the same ones again, so only scans of one object, each scan another, take from others.
+    # A non-match on the same object would be a wrong label. Within a scan, another number is another object. Other
+    # scans may show the same objects again, so only scans of a single object, a different one each, take from them.
     partners = np.flatnonzero(same if several else ~same)
     if len(partners) == 0:
         return visible
@@ -328,7 +331,7 @@ def _pasted(
     augment: AugmentSettings,
     rng: Generator,
 ) -> Layer | None:
-    """An object, somewhere over a view; None if there is nothing of it."""
+    """An object pasted at random over a view; None if none of it is visible."""
     if not mask.any():
         return None
     size = side.labels.shape
@@ -340,7 +343,7 @@ def _pasted(
 
 
 def _view(side: _Side, augment: AugmentSettings, rng: Generator) -> AugmentedView:
-    """The view of an image: what it does not cover, or all but the objects, is painted over."""
+    """The view of an image: pixels that it does not cover, or all off the objects, show a random background."""
     size = side.labels.shape
     shown = side.labels > 0 if rng.random() < augment.background else side.shown
     ground = () if shown is None else (random_ground(size, side.rgb, side.instance, rng),)
@@ -352,14 +355,14 @@ def _view(side: _Side, augment: AugmentSettings, rng: Generator) -> AugmentedVie
 def non_matches(
     mask: Bool[ndarray, "h w"], uv: Float[ndarray, "m 2"], sample: SampleSettings, rng: Generator
 ) -> tuple[Float[ndarray, "m n 2"], Bool[ndarray, "m n"], Bool[ndarray, "m n"]]:
-    """Pixels of the second image that do not show what the first shows at each match.
+    """Non-matches: for each match, pixels of the second image that show a different point.
 
     Args:
         mask: the sampled instance in the second image.
         uv: the matches in the second image.
 
     Returns:
-        Pixels, whether each is on the instance, and whether it counts: not, where even repeated draws came too close.
+        Pixels (u, v); whether each is on the instance; whether it is valid, i.e. not too close after all redraws.
     """
     m, n = len(uv), sample.n_non_matches
     on, off = np.flatnonzero(mask), np.flatnonzero(~mask)
@@ -368,7 +371,7 @@ def non_matches(
     if len(on) == 0 or len(off) == 0:
         n_foreground = n if len(on) else 0
     foreground = np.tile(np.arange(n) < n_foreground, m)
-    # Both kinds are in one list, those on the instance first, so that one draw serves both.
+    # Both kinds are in one list, pixels on the instance first, so that both need only one draw.
     pool = np.concatenate([on, off]).astype(np.int32)
     first, length = np.where(foreground, 0, len(on)), np.where(foreground, len(on), len(off))
     pixels, valid = np.empty((m * n, 2), np.float32), np.zeros(m * n, bool)

@@ -1,4 +1,4 @@
-"""Choosing keypoints by themselves: points that are found again in other views, spread over an object."""
+"""Automatic choice of reference keypoints: points re-found in other views and spread over an object."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from bask_data.core.geometry import in_image, invert_rigid, project, transform
 from bask_data.nn.network import best_matches, distance_maps
 
 FOUND = 0.03
-"""Share of the image's diagonal within which a point counts as found again: 14 pixels of 400x240. Chosen; sensitivity
-not measured."""
+"""Largest error, as a share of the image's diagonal, at which a point counts as re-found: 14 pixels of 400x240.
+Chosen; sensitivity not measured."""
 
 DEPTH_TOLERANCE = 0.015
-"""Metres a measured depth may differ from a point's and still show it: sensor noise and errors of the poses. Chosen;
-sensitivity not measured."""
+"""Largest difference, metres, between the measured depth and that of a visible point: sensor noise and pose errors.
+Chosen; sensitivity not measured."""
 
 
 @dataclass(frozen=True)
 class SelectionView:
-    """A frame candidates are looked for in; `descriptors` may be coarser than `depth`, both span the same image."""
+    """A frame in which candidates are searched; `descriptors` may be coarser than `depth`, both span the same image."""
 
     descriptors: Float[torch.Tensor, "d hd wd"]
     depth: Float[ndarray, "h w"]
@@ -37,7 +37,7 @@ class SelectionView:
 def inner_pixels(
     mask: Bool[ndarray, "h w"], depth: Float[ndarray, "h w"], border: float, n: int, rng: Generator
 ) -> Float[ndarray, "m 2"]:
-    """Up to n pixels (u, v) with measured depth, more than `border` pixels inside of a mask and of the image."""
+    """Up to n random pixels (u, v) with measured depth, more than `border` pixels inside a mask and the image."""
     padded = np.pad(mask.astype(np.uint8), 1)
     inside = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] > border
     v, u = np.nonzero(inside & (depth > 0))
@@ -48,10 +48,11 @@ def inner_pixels(
 def found_again(
     points_world: Float[ndarray, "n 3"], descriptors: Float[torch.Tensor, "n d"], views: Iterable[SelectionView]
 ) -> tuple[Float[ndarray, "n"], Int[ndarray, "n"]]:
-    """Share of the views showing a point in which its descriptor is best matched where it is, and their number.
+    """Share of the views showing a point in which its descriptor re-finds it, and the number of these views.
 
     Args:
-        views: other frames than those the descriptors are from.
+        points_world: metres.
+        descriptors: of the points, from other frames than `views`.
     """
     hits, shown = np.zeros(len(points_world)), np.zeros(len(points_world), int)
     for view in views:
@@ -64,18 +65,17 @@ def found_again(
         if not visible.any():
             continue
         distances = distance_maps(view.descriptors, descriptors[torch.from_numpy(np.flatnonzero(visible))])
-        found = best_matches(distances, (height, width))
-        error = np.linalg.norm(found - uv[visible], axis=1) / np.hypot(height, width)
+        matched = best_matches(distances, (height, width))
+        error = np.linalg.norm(matched - uv[visible], axis=1) / np.hypot(height, width)
         hits[visible] += error <= FOUND
         shown[visible] += 1
     return hits / np.maximum(shown, 1), shown
 
 
 def spread_out(points: Float[ndarray, "n 3"], share_found: Float[ndarray, "n"], n: int) -> Int[ndarray, "k"]:
-    """Indices of n points: of those found again best, each as far as can be from the ones before it.
+    """Indices of at most n points: farthest-point sampling among those re-found most often.
 
-    Three times as many as asked for, or all, take part: enough to spread over an object, few enough to leave out its
-    worst places.
+    The best 3 n points are candidates: enough to spread over an object, few enough to exclude its worst places.
     """
     order = np.argsort(-share_found, kind="stable")
     threshold = share_found[order[min(3 * n, len(order)) - 1]]

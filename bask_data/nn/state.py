@@ -1,4 +1,4 @@
-"""What an interrupted training goes on from."""
+"""The saved state from which an interrupted training resumes."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ from torch import Tensor, nn
 
 STATE = "state.safetensors"
 BEST = "best~{step}.safetensors"
-"""Weights that validated best so far. The step is in the name, so that a state finds those that belong to it."""
+"""Best weights so far by validation. The step in the name identifies the state they belong to."""
 
 CurveRow = tuple[int, str, float]
 
 
 @dataclass
 class Progress:
-    """How far a training has come, beside the network and the optimiser.
+    """Progress of a training, apart from the network and the optimiser.
 
     Args:
         step: steps done.
-        best_step: after which the network validated best; 0: none is known.
-        best: its weights then, on the CPU.
+        curve: logged values as (step, name, value).
+        best_step: number of steps after which validation was best; 0: not yet validated.
+        best: the weights at that step, on the CPU.
     """
 
     step: int = 0
@@ -39,12 +40,12 @@ class Progress:
 
 
 def copied(network: nn.Module) -> dict[str, Tensor]:
-    """The network's weights as they are, on the CPU."""
+    """A copy of the network's weights on the CPU."""
     return {name: value.detach().cpu().clone().contiguous() for name, value in network.state_dict().items()}
 
 
 def save_state(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer, progress: Progress) -> None:
-    """Write everything training goes on from; a kill leaves the state before or this one."""
+    """Write everything that resuming needs; a kill leaves the previous state or this one."""
     best = folder / BEST.format(step=progress.best_step)
     if progress.best_step and not best.exists():
         _write(best, progress.best, {})
@@ -53,7 +54,7 @@ def save_state(folder: Path, network: nn.Module, optimiser: torch.optim.Optimize
         tensors |= {f"optimiser.{i}.{name}": value for name, value in state.items()}
     metadata = {"step": progress.step, "best_step": progress.best_step, "curve": progress.curve}
     _write(folder / STATE, tensors, {name: json.dumps(value) for name, value in metadata.items()})
-    # Only now: the state before this one may have needed other weights.
+    # Not earlier: the previous state needs its own best weights.
     for other in folder.glob(BEST.format(step="*")):
         if other != best:
             other.unlink()
@@ -67,41 +68,41 @@ def _write(file: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> 
     written.replace(file)
 
 
-def _words(opened: safe_open) -> dict[str, Any]:
-    """What a state says beside its tensors."""
+def _metadata(opened: safe_open) -> dict[str, Any]:
+    """Everything in a state but its tensors."""
     return {name: json.loads(text) for name, text in opened.metadata().items()}
 
 
 def saved_step(folder: Path) -> int:
-    """Steps done when the state in a folder was saved; 0 where there is none."""
+    """Steps done when the state in a folder was saved; 0 if there is none."""
     if not (folder / STATE).exists():
         return 0
     with safe_open(folder / STATE, framework="pt") as opened:
-        return int(_words(opened)["step"])
+        return int(_metadata(opened)["step"])
 
 
 def remove_damaged_state(folder: Path) -> bool:
-    """Take away a saved state that a disk has spoilt; whether there was one. All it costs is time."""
+    """Delete a corrupted state and return whether there was one. Training then starts over: only time is lost."""
     if not (folder / STATE).exists():
         return False
     try:
         with safe_open(folder / STATE, framework="pt") as opened:
-            _, best_step, _ = itemgetter("step", "best_step", "curve")(_words(opened))
+            _, best_step, _ = itemgetter("step", "best_step", "curve")(_metadata(opened))
         if best_step:
             with safe_open(folder / BEST.format(step=best_step), framework="pt"):
                 pass
-    except Exception:  # safetensors raises its own kinds, and what it reads may be anything.
+    except Exception:  # safetensors has its own exceptions, and the file may contain anything.
         remove_state(folder)
         return True
     return False
 
 
 def load_state(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> Progress:
-    """Take over the state saved in a folder; the very beginning where there is none."""
+    """Restore the state saved in a folder into network and optimiser; without one, progress at step 0."""
     if not (folder / STATE).exists():
         return Progress()
     with safe_open(folder / STATE, framework="pt") as opened:
-        metadata = _words(opened)
+        metadata = _metadata(opened)
         tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
     network.load_state_dict(
         {name.removeprefix("network."): value for name, value in tensors.items() if name.startswith("network.")}
@@ -111,10 +112,10 @@ def load_state(folder: Path, network: nn.Module, optimiser: torch.optim.Optimize
     for name, value in tensors.items():
         if name.startswith("optimiser."):
             _, i, key = name.split(".")
-            # Moments have to lie in memory as their parameter does: a fused step goes through all of them in one order.
+            # Moments need the memory layout of their parameter: a fused step traverses all of them in one order.
             like = parameters[int(i)]
-            moved = torch.empty_like(like).copy_(value) if value.shape == like.shape else value
-            state["state"].setdefault(int(i), {})[key] = moved
+            laid_out = torch.empty_like(like).copy_(value) if value.shape == like.shape else value
+            state["state"].setdefault(int(i), {})[key] = laid_out
     optimiser.load_state_dict(state)
     best_step = metadata["best_step"]
     return Progress(
@@ -126,16 +127,16 @@ def load_state(folder: Path, network: nn.Module, optimiser: torch.optim.Optimize
 
 
 def remove_state(folder: Path) -> None:
-    """Take away what `save_state` wrote."""
+    """Delete the files that `save_state` wrote."""
     for file in (folder / STATE, *folder.glob(BEST.format(step="*"))):
         file.unlink(missing_ok=True)
 
 
 def remove_all_but_state(folder: Path) -> None:
-    """Take away what a killed training left half-written, other libraries' temporary files among it."""
+    """Delete what a killed training left half-written, including temporary files of other libraries."""
     kept = {folder / STATE, *folder.glob(BEST.format(step="*"))}
-    for left in folder.iterdir():
-        if left.is_dir():
-            shutil.rmtree(left)
-        elif left not in kept:
-            left.unlink()
+    for path in folder.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif path not in kept:
+            path.unlink()

@@ -1,4 +1,4 @@
-"""The training loop: deterministic, resumable, and never waiting for data."""
+"""The training loop: deterministic, resumable, with batches prefetched."""
 
 from __future__ import annotations
 
@@ -22,27 +22,28 @@ from bask_data.nn.sampling import Batch, Examples, Plan, SampleSettings, batch_o
 from bask_data.nn.state import CurveRow, Progress, copied, load_state, save_state
 
 MEDIAN = "validation_median_error_px"
-"""The one metric of a validation that is better when smaller."""
+"""The only validation metric for which lower is better."""
 
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """How a network is trained.
+    """Settings of the training loop.
 
     Args:
-        loss: `contrastive` is the paper's; `infonce` the cross-entropy of heat maps, which learns faster.
-        alpha: temperature of the heat maps that `infonce` trains; the one keypoints are read with.
+        contrastive: margins and form of the `contrastive` loss.
+        loss: `contrastive` is the paper's; `infonce` is the cross-entropy of heat maps, which learns faster.
+        alpha: temperature of the heat maps that `infonce` trains; the same as for keypoints.
         match_weight: weight of the matches' z^2 in `infonce`.
-        accumulate: parts that a batch is computed in, one after the other, their gradients summed: less memory.
-        schedule: `step` multiplies the rate by `decay` every `decay_every` steps, `cosine` lets it fall to zero.
-        warmup: steps over which the rate rises from zero.
-        frozen_batch_norm: keep the statistics of pretrained weights, which small batches would spoil.
-        precision: `auto` is bfloat16 where the hardware computes with it, else float32.
-        validate_every: steps between two validations; the last step is always validated.
-        best_by: metric of the validation that chooses the step whose weights are kept; None keeps the last.
-        patience: validations in a row that may bring nothing better before training ends early; None: any number.
+        accumulate: parts in which a batch is computed in sequence, with gradients accumulated, to save memory.
+        schedule: `step` multiplies the learning rate by `decay` every `decay_every` steps; `cosine` anneals it to zero.
+        warmup: steps over which the learning rate rises from zero.
+        frozen_batch_norm: keep the batch statistics of pretrained weights; those of small batches are poor.
+        precision: `auto` is bfloat16 if the hardware supports it natively, else float32.
+        validate_every: steps between validations; the last step is always validated.
+        best_by: validation metric by which the weights are selected; None keeps the last.
+        patience: validations without improvement after which training stops early; None: never.
         log_every: steps between two rows of the curve.
-        save_share: largest part of the time that goes into saving states. Of a large network one takes seconds.
+        save_share: largest share of the time spent on saving states; for a large network one takes seconds.
     """
 
     steps: int
@@ -73,12 +74,12 @@ Watch = Callable[[int, dict[str, float]], None]
 
 @dataclass(frozen=True)
 class Trained:
-    """What came of a training.
+    """Result of a training.
 
     Args:
-        curve: loss terms, rate and validation metrics by step.
-        step: steps after which the network had the weights it has; less than were done if it was better then.
-        n_steps: steps done; less than asked for if training ended early.
+        curve: loss terms, learning rate and validation metrics as (step, name, value).
+        step: step of the selected weights; earlier than the last if validation was better then.
+        n_steps: steps done; fewer than requested if training stopped early.
     """
 
     curve: list[CurveRow]
@@ -97,39 +98,40 @@ def train_network(
     watch: Watch = lambda step, values: None,
     group: Group = ALONE,
 ) -> Trained:
-    """Train in place; of several processes the first has the weights that validated best, the others the last.
+    """Train a network in place; of several processes the first ends with the selected weights, others with the last.
 
-    Interrupted and called again with the same arguments and an untrained network, it goes on from the last saved state
-    and ends with the same weights: on a CPU to the bit, with the same number of threads; on a GPU, whose sums are in no
-    fixed order, nearly.
+    If interrupted and called again with the same arguments and an untrained network, training resumes from the last
+    saved state and ends with the same weights: bit-identical on a CPU with the same number of threads, nearly so on a
+    GPU, whose order of summation varies.
 
     Args:
-        state_folder: where the state is saved, and looked for at the start; `remove_state` takes it away when the
-            result is safe.
+        validate: computes the validation metrics, in the first process; None: no validation.
+        state_folder: folder of the saved state, read at the start; delete the state with `remove_state` when the result
+            is stored.
         steps: wraps the range of steps, to show progress.
-        watch: told every row of the curve as it comes, and what depends on the machine: speed, and the share of the
-            time that was spent waiting for batches.
+        watch: called with the step and each row of the curve, to which it adds speed and the share of the time spent
+            waiting for batches; these depend on the machine and are not part of the curve.
 
     Raises:
-        FloatingPointError: the loss is no number any more.
-        TooManyProcesses: a batch holds fewer pairs.
+        FloatingPointError: the loss is not finite.
+        TooManyProcesses: there are more processes than pairs in a batch.
     """
     run = _Run(network, examples.sample, settings, group, state_folder)
 
-    # Images for a GPU are made there, out of a plan: a CPU would be too slow for it.
-    made_of = plan_of_step if network.device.type == "cuda" else batch_of_step
+    # Images for a GPU are rendered there from a plan: a CPU would be too slow.
+    batch_or_plan = plan_of_step if network.device.type == "cuda" else batch_of_step
 
     def make(step: int) -> list[Batch | Plan]:
         source, sample, augment = examples.source, examples.sample, examples.augment
-        return [made_of(source, settings.seed, step, sample, augment, part) for part in run.parts]
+        return [batch_or_plan(source, settings.seed, step, sample, augment, part) for part in run.parts]
 
     numbers = steps(range(run.progress.step, run.last_step))
-    with closing(ahead(make, numbers, settings.steps, run.clock.waited)) as made:
-        for step, batches in made:
-            run.learn(step, batches)
+    with closing(ahead(make, numbers, settings.steps, run.clock.waited)) as prefetched:
+        for step, batches in prefetched:
+            run.train_step(step, batches)
             validates = validate is not None and run.is_at(settings.validate_every)
             if validates or run.is_at(settings.log_every):
-                run.round_off(validate if validates else None, watch)
+                run.record(validate if validates else None, watch)
             if run.progress.step >= run.last_step:
                 break
     if run.progress.best:
@@ -139,7 +141,7 @@ def train_network(
 
 
 class _Run:
-    """A training under way."""
+    """State of a running training."""
 
     def __init__(
         self,
@@ -151,10 +153,10 @@ class _Run:
     ) -> None:
         self.network, self.settings, self.group, self.folder = network, settings, group, folder
         self.parts = group.share_of(sample.n_pairs, settings.accumulate)
-        # The mean over a batch's pairs from means over parts; over processes, the mean is taken of what they give.
+        # Weights of the parts' means in the mean over the batch's pairs; gradients are averaged over processes.
         self.weights = [len(part) * group.size / sample.n_pairs for part in self.parts]
         network.channels_last()
-        # Fused, a step takes a third of the time, which on a CPU is a tenth of everything.
+        # Fused, the optimiser takes a third of the time; on a CPU it is a tenth of a training step.
         self.optimiser = torch.optim.Adam(
             network.trainable_parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, fused=True
         )
@@ -174,40 +176,40 @@ class _Run:
 
     @property
     def last_step(self) -> int:
-        """Where training ends: here, if validation has not got better for long enough."""
+        """Step at which training ends: the current one if patience is exhausted."""
         if self.settings.patience is not None:
-            since = {step for step, name, _ in self.progress.curve if name == self.settings.best_by}
-            if sum(step > self.progress.best_step for step in since) >= self.settings.patience:
+            validated = {step for step, name, _ in self.progress.curve if name == self.settings.best_by}
+            if sum(step > self.progress.best_step for step in validated) >= self.settings.patience:
                 return self.progress.step
         return self.settings.steps
 
     def is_at(self, every: int) -> bool:
-        """Whether so many steps have passed again, or all."""
+        """Whether the number of steps done is a multiple of `every`, or the last."""
         return self.progress.step % every == 0 or self.progress.step == self.settings.steps
 
-    def learn(self, step: int, batches: list[Batch | Plan]) -> None:
-        """One step of the optimiser."""
-        for of_optimiser in self.optimiser.param_groups:
-            of_optimiser["lr"] = learning_rate(step, self.settings)
+    def train_step(self, step: int, batches: list[Batch | Plan]) -> None:
+        """One optimiser step on a batch, given in parts."""
+        for parameters in self.optimiser.param_groups:
+            parameters["lr"] = learning_rate(step, self.settings)
         self.optimiser.zero_grad(set_to_none=True)
         for i, (batch, weight) in enumerate(zip(batches, self.weights, strict=True), start=1):
-            with self.group.sending(self.model, i == len(batches)):
+            with self.group.exchanging(self.model, i == len(batches)):
                 terms = _terms(self.model, _on_device(batch, self.network.device), self.settings)
                 (terms.loss * weight).backward()
-            # Sums stay on the device: reading a number there would make the CPU wait for it.
+            # Sums stay on the device: reading a number would synchronise with it.
             for name, value in terms.logged.items():
                 self.sums[name] = self.sums[name] + value if name in self.sums else value
         self.optimiser.step()
         self.progress.step = step + 1
 
-    def round_off(self, validate: Validate | None, watch: Watch) -> None:
-        """Enter what happened since the last time into the curve, validate, keep the best, and save."""
+    def record(self, validate: Validate | None, watch: Watch) -> None:
+        """Add a row to the curve for the steps since the last one, validate, keep the best weights, and save."""
         values = self._means() | {"learning_rate": self.optimiser.param_groups[0]["lr"]}
         step, speed = self.progress.step, self.clock.read(self.progress.step)
         if not math.isfinite(values["loss"]):
             raise FloatingPointError(f"loss is {values['loss']} at step {step}; a smaller learning rate may help")
         if validate is not None:
-            values |= self.group.told(validate(self.network) if self.group.is_first else {})
+            values |= self.group.broadcast(validate(self.network) if self.group.is_first else {})
             self._set_modes()
         self.progress.curve += [(step, name, value) for name, value in values.items()]
         if best_step(self.progress.curve, self.settings.best_by) == step:
@@ -224,7 +226,7 @@ class _Run:
         return means
 
     def _save(self) -> None:
-        """A state lies between two rows of the curve, or the sums would be part of it."""
+        """Save the state, if due. Always right after a row of the curve, so that the sums need not be saved."""
         due = self.save_took <= self.settings.save_share * (time.monotonic() - self.saved)
         if self.folder is not None and self.group.is_first and (due or self.progress.step >= self.last_step):
             begun = time.monotonic()
@@ -234,37 +236,37 @@ class _Run:
 
 
 class _Clock:
-    """How fast training is, and how long it waited for batches."""
+    """Speed of training and time spent waiting for batches, since `start`."""
 
     def __init__(self, n_images: int, step: int) -> None:
         self.n_images, self.waited = n_images, Waited()
         self.start(step)
 
     def start(self, step: int) -> None:
-        """Measure from here."""
+        """Restart the measurement."""
         self._step, self._begun, self._waited = step, time.perf_counter(), self.waited.seconds
 
     def read(self, step: int) -> dict[str, float]:
-        """Since the start."""
+        """Speed, share of the time spent waiting, and peak GPU memory."""
         seconds = time.perf_counter() - self._begun
         n_images = self.n_images * (step - self._step)
-        found = {
+        values = {
             "images_per_second": n_images / seconds,
             "share_waited": (self.waited.seconds - self._waited) / seconds,
         }
         if torch.cuda.is_available():
-            found["gpu_memory_bytes"] = float(torch.cuda.max_memory_allocated())
-        return found
+            values["gpu_memory_bytes"] = float(torch.cuda.max_memory_allocated())
+        return values
 
 
 def best_step(curve: list[CurveRow], metric: str | None) -> int:
-    """The step whose metric is best, the last of several; 0 if there is none."""
+    """The step with the best metric, the last of equal ones; 0 if there is none."""
     sign = -1 if metric == MEDIAN else 1
     return max(((sign * value, step) for step, name, value in curve if name == metric), default=(0.0, 0))[1]
 
 
 def learning_rate(step: int, settings: TrainingSettings) -> float:
-    """The rate of a step."""
+    """Learning rate of a step."""
     warm = min(1.0, (step + 1) / (settings.warmup + 1))
     if settings.schedule == "cosine":
         return settings.learning_rate * warm * 0.5 * (1 + math.cos(math.pi * step / settings.steps))
@@ -272,27 +274,27 @@ def learning_rate(step: int, settings: TrainingSettings) -> float:
 
 
 def uses_bfloat16(precision: str, device: torch.device) -> bool:
-    """Whether to compute in bfloat16: where asked for, or where the hardware does it natively."""
+    """Whether to compute in bfloat16: if requested, or if `auto` and the hardware supports it natively."""
     if precision != "auto":
         return precision == "bfloat16"
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
-    # Torch learned to tell in a late version; without, float32 is the safe answer.
+    # Older versions of torch cannot tell; float32 is then the safe choice.
     capabilities: dict[str, bool] = getattr(torch.cpu, "get_capabilities", dict)()
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16") or capabilities.get("bf16"))
 
 
 def _on_device(batch: Batch | Plan, device: torch.device) -> list[Tensor]:
     """The fields of a batch as tensors, in order."""
-    there = rendered(batch, device) if isinstance(batch, Plan) else batch.on(device)
-    return [torch.as_tensor(getattr(there, field.name)) for field in fields(there)]
+    tensors = rendered(batch, device) if isinstance(batch, Plan) else batch.on(device)
+    return [torch.as_tensor(getattr(tensors, field.name)) for field in fields(tensors)]
 
 
 def _terms(model: nn.Module, batch: list[Tensor], settings: TrainingSettings) -> losses.Terms:
     rgb_a, rgb_b, uv_a, uv_b, others_b, foreground, valid = batch
     with torch.autocast(rgb_a.device.type, torch.bfloat16, enabled=uses_bfloat16(settings.precision, rgb_a.device)):
         cells = model(torch.cat([rgb_a, rgb_b]))
-    # Distances are differences of close numbers: they and all that follows are in float32.
+    # Distances are differences of close numbers, so they and the loss are computed in float32.
     cells_a, cells_b = cells.float().contiguous().chunk(2)
     matches_a, matches_b = sampled(cells_a, uv_a), sampled(cells_b, uv_b)
     if settings.loss == "infonce":

@@ -1,4 +1,4 @@
-"""How well a network finds matches it was not trained on."""
+"""Accuracy of a network on matches it was not trained on."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from bask_data.nn.sampling import PairSource
 def pixel_errors(
     network: DescriptorNetwork, source: PairSource, i_pairs: list[int], n_matches: int
 ) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
-    """How far the best match lies from the true one, in pixels of the second image and as a share of its diagonal.
+    """Distance of the best match from the true one, in pixels of the second image and as a share of its diagonal.
 
     Args:
-        n_matches: taken of each pair, evenly over its list.
+        i_pairs: indices of the pairs to use.
+        n_matches: number of matches per pair, spaced evenly over its list.
     """
     pixels, shares = [], []
     for i_pair in i_pairs:
@@ -38,7 +39,7 @@ def pixel_errors(
 def validation_metrics(
     network: DescriptorNetwork, source: PairSource, n_pairs: int = 16, n_matches: int = 64
 ) -> dict[str, float]:
-    """Median pixel error, and the share of matches found within 1, 2, 4 and 8 % of the image's diagonal."""
+    """Median pixel error, and PCK at 1, 2, 4 and 8 % of the image's diagonal, over `n_pairs` evenly spaced pairs."""
     i_pairs = np.unique(np.linspace(0, source.n_pairs - 1, n_pairs).round().astype(int)).tolist()
     pixels, shares = pixel_errors(network, source, i_pairs, n_matches)
     metrics = {"validation_median_error_px": float(np.median(pixels))}

@@ -1,6 +1,6 @@
-"""Vision transformers in the manner of DINOv2, for dense prediction: any of them, its sizes read off its weights.
+"""Vision transformers like DINOv2 for dense prediction, with sizes inferred from the weights.
 
-Parameter names are those of the weights that Meta published; `renamed` brings those of Hugging Face's files to them.
+Parameter names are those of Meta's published weights; `renamed` converts from Hugging Face's names.
 """
 
 from __future__ import annotations
@@ -18,20 +18,22 @@ from bask_data.nn.head import DescriptorHead
 from bask_data.nn.resnet import STRIDE
 
 CHANNELS_PER_HEAD = 64
-"""Of every published DINO and DINOv2; how many heads share the attention is the one size weights do not tell."""
+"""Channels per attention head of every published DINO and DINOv2; the only size that weights do not reveal."""
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """What a vision transformer is, beside its weights.
+    """Sizes of a vision transformer.
 
     Args:
-        patch: pixels of an image, in each direction, that make a token.
-        n_positions: learned positions, of the class token and of a square of patches, or of the latter alone.
-        n_registers: tokens that stand for no patch, for the network's own use.
-        n_hidden: channels in the middle of a block.
-        gated: whether these are multiplied with a gate, as in the largest networks.
-        scaled: whether a block's changes are scaled channel by channel, as DINOv2 does and DINO does not.
+        patch: edge of a patch, pixels.
+        width: channels of a token.
+        depth: number of blocks.
+        n_positions: position embeddings, of a square of patches, with or without one for the class token.
+        n_registers: register tokens, which belong to no patch.
+        n_hidden: hidden channels of a block's MLP.
+        gated: whether the MLP is gated (SwiGLU), as in the largest networks.
+        scaled: whether blocks have a layer scale, as in DINOv2 but not in DINO.
     """
 
     patch: int
@@ -45,15 +47,15 @@ class Sizes:
 
     @property
     def n_side(self) -> int:
-        """Positions along a side of the square that was trained with."""
+        """Patches along a side of the square of training images."""
         return math.isqrt(self.n_positions)
 
 
 def sizes_of(state: Mapping[str, Tensor]) -> Sizes:
-    """What transformer the weights belong to.
+    """Sizes of the transformer that the weights belong to.
 
     Raises:
-        ValueError: of none that is known.
+        ValueError: the weights are not those of a supported transformer.
     """
     expected = ("patch_embed.proj.weight", "cls_token", "pos_embed", "blocks.0.attn.qkv.weight")
     missing = [name for name in expected if name not in state]
@@ -65,7 +67,7 @@ def sizes_of(state: Mapping[str, Tensor]) -> Sizes:
         raise ValueError(f"{width} channels, not a multiple of {CHANNELS_PER_HEAD}")
     n_positions = state["pos_embed"].shape[1]
     if n_positions - math.isqrt(n_positions) ** 2 > 1:
-        raise ValueError(f"{n_positions} positions, not those of a square of patches and a class token")
+        raise ValueError(f"{n_positions} position embeddings, not those of a square of patches and a class token")
     registers = state.get("register_tokens")
     hidden = state["blocks.0.mlp.w3.weight" if gated else "blocks.0.mlp.fc2.weight"]
     return Sizes(
@@ -81,21 +83,21 @@ def sizes_of(state: Mapping[str, Tensor]) -> Sizes:
 
 
 def renamed(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights under Meta's names, from either's; Hugging Face keeps queries, keys and values apart."""
+    """Weights under Meta's names, from Meta's, timm's or Hugging Face's; the latter splits queries, keys and values."""
     if "embeddings.cls_token" not in state:
         return {name.replace("reg_token", "register_tokens"): value for name, value in state.items()}
-    found: dict[str, Tensor] = {}
+    converted: dict[str, Tensor] = {}
     for name, value in state.items():
         if ".attention.attention.query." in name:
             three = [name.replace(".query.", f".{part}.") for part in ("query", "key", "value")]
-            # Were one missing, the shape would tell.
+            # If one is missing, loading fails by the shape.
             value = torch.cat([state[part] for part in three if part in state])
         elif ".attention.attention." in name:
             continue
         for theirs, ours in _HUGGING_FACE.items():
             name = name.replace(theirs, ours)
-        found[name] = value
-    return found
+        converted[name] = value
+    return converted
 
 
 _HUGGING_FACE = {
@@ -114,7 +116,7 @@ _HUGGING_FACE = {
 
 
 class DenseViT(nn.Module):
-    """A vision transformer whose patches are made to cover eight pixels, and a head in place of its class token's."""
+    """A vision transformer whose patches cover 8x8 pixels of the image, with a descriptor head on its patch tokens."""
 
     def __init__(self, sizes: Sizes, n_outputs: int) -> None:
         super().__init__()
@@ -129,10 +131,10 @@ class DenseViT(nn.Module):
         self.head = DescriptorHead((width,), n_outputs)
 
     def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b d h8 w8"]:
-        """The output at stride 8; cell (i, j) stands for the block of pixels from (8i, 8j) to (8i + 7, 8j + 7).
+        """The output at stride 8; cell (i, j) describes the block of pixels from (8i, 8j) to (8i + 7, 8j + 7).
 
-        The image is enlarged so that a patch covers such a block: no cell is then off its block, and descriptors are as
-        fine as those of other networks. Networks with patches of 14 see 224 pixels, their size of training, for 128.
+        The image is resized so that a patch covers exactly one such block, which gives descriptors the resolution of
+        other backbones. With patches of 14, an image of 128 pixels becomes 224 pixels, the size in training.
         """
         height, width = x.shape[-2:]
         n_rows, n_columns = -(-height // STRIDE), -(-width // STRIDE)
@@ -143,7 +145,7 @@ class DenseViT(nn.Module):
         return self.head(self.features(x))
 
     def features(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b c hp wp"]:
-        """The last block's tokens, one for each patch."""
+        """Normalised patch tokens of the last block."""
         tokens = self.patch_embed["proj"](x)
         n_rows, n_columns = tokens.shape[-2:]
         tokens = tokens.flatten(2).transpose(1, 2) + self.positions(n_rows, n_columns)
@@ -157,26 +159,26 @@ class DenseViT(nn.Module):
         return patches.transpose(1, 2).unflatten(2, (n_rows, n_columns))
 
     def positions(self, n_rows: int, n_columns: int) -> Float[Tensor, "1 n c"]:
-        """Positions of a grid of patches, between those that were learned."""
+        """Position embeddings of a grid of patches, interpolated from the learned ones."""
         n_side = self.sizes.n_side
         learned = self.pos_embed[:, -(n_side**2) :]
         if (n_rows, n_columns) == (n_side, n_side):
             return learned
         grid = learned.transpose(1, 2).unflatten(2, (n_side, n_side))
-        # DINOv2 smooths where it shrinks since it has registers, and the networks were trained so.
+        # DINOv2 with registers was trained with antialiased interpolation, DINOv2 without was not.
         smooth = self.sizes.n_registers > 0
-        found = F.interpolate(grid, (n_rows, n_columns), mode="bicubic", align_corners=False, antialias=smooth)
-        return found.flatten(2).transpose(1, 2)
+        resized = F.interpolate(grid, (n_rows, n_columns), mode="bicubic", align_corners=False, antialias=smooth)
+        return resized.flatten(2).transpose(1, 2)
 
     def class_position(self) -> Float[Tensor, "1 k c"]:
-        """The class token's position; zero for networks that learned none."""
+        """The class token's position embedding; zero for networks without one."""
         if self.sizes.n_positions == self.sizes.n_side**2:
             return torch.zeros_like(self.cls_token)
         return self.pos_embed[:, :1]
 
 
 class Block(nn.Module):
-    """Attention between tokens, then a change of each by itself; the input is carried around both."""
+    """Attention between tokens, then an MLP on each token, both with skip connections."""
 
     def __init__(self, sizes: Sizes) -> None:
         super().__init__()
@@ -194,7 +196,7 @@ class Block(nn.Module):
 
 
 class Attention(nn.Module):
-    """Every token looks at every token."""
+    """Multi-head self-attention."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -202,14 +204,14 @@ class Attention(nn.Module):
         self.proj = nn.Linear(width, width)
 
     def forward(self, x: Float[Tensor, "b n c"]) -> Float[Tensor, "b n c"]:
-        """What each token gathered."""
+        """The attention's output for each token."""
         n_heads = x.shape[-1] // CHANNELS_PER_HEAD
         query, key, value = self.qkv(x).unflatten(-1, (3, n_heads, CHANNELS_PER_HEAD)).permute(2, 0, 3, 1, 4)
         return self.proj(F.scaled_dot_product_attention(query, key, value).transpose(1, 2).flatten(2))
 
 
 class Layers(nn.Module):
-    """Two linear layers."""
+    """An MLP of two linear layers."""
 
     def __init__(self, width: int, n_hidden: int) -> None:
         super().__init__()
@@ -217,12 +219,12 @@ class Layers(nn.Module):
         self.fc2 = nn.Linear(n_hidden, width)
 
     def forward(self, x: Float[Tensor, "b n c"]) -> Float[Tensor, "b n c"]:
-        """The changed tokens."""
+        """The MLP's output for each token."""
         return self.fc2(F.gelu(self.fc1(x)))
 
 
 class GatedLayers(nn.Module):
-    """Two linear layers, the middle multiplied with a gate."""
+    """A gated MLP of two linear layers (SwiGLU)."""
 
     def __init__(self, width: int, n_hidden: int) -> None:
         super().__init__()
@@ -230,18 +232,18 @@ class GatedLayers(nn.Module):
         self.w3 = nn.Linear(n_hidden, width)
 
     def forward(self, x: Float[Tensor, "b n c"]) -> Float[Tensor, "b n c"]:
-        """The changed tokens."""
+        """The MLP's output for each token."""
         gate, values = self.w12(x).chunk(2, dim=-1)
         return self.w3(F.silu(gate) * values)
 
 
 class Scale(nn.Module):
-    """A factor for each channel."""
+    """Layer scale: a learned factor for each channel."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
         self.gamma = nn.Parameter(torch.ones(width))
 
     def forward(self, x: Float[Tensor, "b n c"]) -> Float[Tensor, "b n c"]:
-        """The scaled tokens."""
+        """Tokens, scaled."""
         return x * self.gamma

@@ -1,4 +1,4 @@
-"""Files of pretrained weights, read without running what may be in them."""
+"""Files of pretrained weights, read without executing code in them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from torch import Tensor, nn
 
 
 def read_weights(file: Path) -> dict[str, Tensor]:
-    """Tensors by name from a `.safetensors` file, or a torch file, of which no code is run.
+    """Tensors by name from a `.safetensors` file or a torch file, whose code is not executed.
 
     Raises:
-        ValueError: the file holds something else than tensors of finite numbers by name.
+        ValueError: the file contains anything other than named dense tensors of finite numbers.
     """
     try:
         content = (
@@ -22,10 +22,10 @@ def read_weights(file: Path) -> dict[str, Tensor]:
             if file.suffix == ".safetensors"
             else torch.load(file, map_location="cpu", weights_only=True)
         )
-    except Exception as error:  # torch and safetensors raise their own kinds for broken files.
-        # By its name: to import the module that has it is forbidden everywhere here.
+    except Exception as error:  # torch and safetensors have their own exceptions for broken files.
+        # Compared by name: importing `pickle`, which defines it, is forbidden in this package.
         if type(error).__name__ == "UnpicklingError":
-            raise ValueError("a file that holds code, or something else than tensors; none of it was run") from error
+            raise ValueError("a file that contains code or other objects; nothing in it was executed") from error
         raise ValueError(f"a file that cannot be read: {str(error)[:300]}") from error
     if isinstance(content, dict) and isinstance(content.get("state_dict"), dict):
         content = content["state_dict"]
@@ -33,40 +33,40 @@ def read_weights(file: Path) -> dict[str, Tensor]:
         isinstance(name, str) and isinstance(value, Tensor) for name, value in content.items()
     ):
         raise ValueError("expected tensors by name, as torch.save(network.state_dict(), ...) writes them")
-    laid_out = next((name for name, value in content.items() if value.layout != torch.strided), None)
-    if laid_out is not None:
-        raise ValueError(f"{laid_out} is sparse; expected dense tensors")
-    spoilt = next((name for name, value in content.items() if not torch.isfinite(value).all()), None)
-    if spoilt is not None:
-        raise ValueError(f"{spoilt} has numbers that are not finite")
+    sparse = next((name for name, value in content.items() if value.layout != torch.strided), None)
+    if sparse is not None:
+        raise ValueError(f"{sparse} is sparse; expected dense tensors")
+    not_finite = next((name for name, value in content.items() if not torch.isfinite(value).all()), None)
+    if not_finite is not None:
+        raise ValueError(f"{not_finite} contains values that are not finite")
     return dict(content)
 
 
 def load_weights(encoder: nn.Module, state: Mapping[str, Tensor], ignored: tuple[str, ...] = ()) -> None:
-    """Take over pretrained weights; `head`, which is trained here, keeps its random start unless it is given.
+    """Load pretrained weights; `head` keeps its random initialisation unless the weights include it.
 
     Args:
-        ignored: beginnings of names that the file may have and the encoder has not, such as a classifier's.
+        ignored: prefixes of names in `state` that the encoder does not have, such as a classifier's.
 
     Raises:
-        ValueError: a parameter has another shape or type, is missing, or there are more. A deeper network of the same
-            kind has all a shallower one's names in the same shapes, and would otherwise pass for it.
+        ValueError: a parameter has another shape or type, is missing, or is unknown. Unknown ones are refused because
+            a deeper network has all names of a shallower one, with the same shapes, and would be taken for it.
     """
     own = encoder.state_dict()
     for name in sorted(own.keys() & state.keys()):
         if own[name].shape != state[name].shape:
             raise ValueError(f"{name}: expected shape {tuple(own[name].shape)}, got {tuple(state[name].shape)}")
-        # Whole numbers would be taken over in silence: quantised weights without their scale.
+        # Integers would be converted silently: quantised weights without their scale.
         if own[name].is_floating_point() and not state[name].is_floating_point():
             raise ValueError(f"{name}: expected floating-point numbers, got {str(state[name].dtype).split('.')[-1]}")
-    # Counters of seen batches came late to published files, and nothing depends on them.
+    # Older published files have no counters of batches, and nothing depends on these.
     needed = [name for name in own if not name.startswith("head.") and not name.endswith("num_batches_tracked")]
     missing = [name for name in needed if name not in state]
     if len(missing) == len(needed):
         raise ValueError(f"names such as {min(state, default='none')}, not {needed[0]}")
     if missing:
-        raise ValueError(f"{missing[0]} is missing, one of {len(missing)}")
+        raise ValueError(f"weights without {missing[0]} ({len(missing)} tensors are missing)")
     unknown = [name for name in state if name not in own and not name.startswith(ignored)]
     if unknown:
-        raise ValueError(f"{unknown[0]} is not known, one of {len(unknown)}")
+        raise ValueError(f"weights with {unknown[0]} ({len(unknown)} tensors are unknown)")
     encoder.load_state_dict({**own, **{name: value for name, value in state.items() if name in own}})

@@ -70,16 +70,16 @@ def _pair(n_views: int, seed: int, a: int, b: int, n_matches: int) -> Pair:
 
 RAMP_SIZE = (48, 64)
 RAMP_STEP = 4
-"""Grey levels a pixel of the surface: 64 pixels fill a byte."""
+"""Grey levels per pixel of the surface: 64 pixels fill a byte."""
 MARGIN = 6
-"""Pixels from a match to the edge of its object: no blend of object and background reaches that far."""
+"""Least distance of a match from the edge of its object, pixels; blending of object and background ends before it."""
 
 
 class RampPairs:
-    """Pairs of a plane whose colour says where on it a pixel lies: red the column, green the row, blue which object.
+    """Pairs of a plane whose colour encodes the position on it: red the column, green the row, blue the object.
 
-    So where a match is can be read off an image that was warped, whatever the warp claims. The first image shows the
-    plane itself, the second an affine view of it, each pair another one.
+    The position of a match can thus be read from a warped image, independently of the known warp. The first image shows
+    the plane itself, the second an affine view of it, a different one for each pair.
 
     Args:
         n_objects: rectangles side by side, instances 1 and up.
@@ -96,14 +96,14 @@ class RampPairs:
         return len(self.scans)
 
     def marker(self, scan: int, instance: int) -> int:
-        """Blue of an object, its own in every scan."""
+        """Blue of an object, different in every scan."""
         return 60 + 20 * (scan * self.n_objects + instance)
 
     def instance_of(self, marker: float) -> int:
         return (round(marker - 60) // 20 - 1) % self.n_objects + 1
 
     def box(self, instance: int) -> tuple[float, float, float, float]:
-        """Least u and v, largest u and v of an object on the plane."""
+        """Minimum u and v, maximum u and v of an object on the plane."""
         width = (RAMP_SIZE[1] - 4) / self.n_objects
         return 2 + (instance - 1) * width, 4.0, instance * width, 43.0
 
@@ -130,7 +130,7 @@ class RampPairs:
         return np.column_stack([linear, centre + rng.uniform(-4, 4, 2) - linear @ centre])
 
     def points(self) -> tuple[np.ndarray, np.ndarray]:
-        """Instance and place on the plane of all matches, so far apart that a pixel tells which is meant."""
+        """Instance and position on the plane of all matches, far enough apart to be identified by a pixel."""
         instance, uv = [], []
         for i in range(1, self.n_objects + 1):
             u0, v0, u1, v1 = self.box(i)

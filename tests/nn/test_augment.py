@@ -46,7 +46,7 @@ def looked_at(rgb: np.ndarray, look: Look) -> np.ndarray:
 
 
 def dotted(size: tuple[int, int], uv: np.ndarray, sigma: float) -> np.ndarray:
-    """An image with one smooth dot at a sub-pixel position: its surface point can be found again without the matrix."""
+    """An image with one smooth dot at a sub-pixel position, which can be located without the matrix."""
     v, u = np.mgrid[: size[0], : size[1]]
     dot = np.exp(-((u - uv[0]) ** 2 + (v - uv[1]) ** 2) / (2 * sigma**2))
     return np.rint(250 * np.dstack([dot, dot, dot])).astype(np.uint8)
@@ -75,7 +75,7 @@ def test_an_augmented_match_shows_the_same_surface_within_half_a_pixel(seed, u, 
     out_from_in = random_affine(SIZE, out_size, uv, flipped, chosen, rng)
     image = seen(dotted(SIZE, uv, 3.0), out_from_in, (3 * out_size[0], 3 * out_size[1]))
     found = moved(out_from_in, uv[None])[0]
-    # Only where the whole dot is in the picture is its centre of mass where the dot is.
+    # The centre of mass is the centre of the dot only if the whole dot is in the image.
     if (found >= 25).all():
         np.testing.assert_allclose(centre_of(image), found, atol=0.5)
 
@@ -122,7 +122,7 @@ def test_a_flip_mirrors():
     np.testing.assert_array_equal(seen(image, affine, SIZE), image[:, ::-1])
 
 
-def test_labels_are_never_mixed():
+def test_labels_are_never_interpolated():
     labels = np.zeros(SIZE, np.uint8)
     labels[20:60, 30:70] = 4
     labels[60:80, 30:70] = 200
@@ -131,7 +131,7 @@ def test_labels_are_never_mixed():
 
 
 def test_labels_and_match_agree_at_an_edge():
-    # The mask of the right half, turned by 30 degrees: its edge is where the coordinates say, to the nearest pixel.
+    # The mask of the right half, rotated: its edge agrees with the coordinates to the nearest pixel.
     labels = np.zeros(SIZE, np.uint8)
     labels[:, 60:] = 1
     settings_ = AugmentSettings(zoom=(1.5, 1.5), rotation=0.5)
@@ -152,7 +152,7 @@ def test_padded_crops_never_magnify(seed):
 
 
 @given(seed=st.integers(0, 2**31), u=st.floats(-0.5, 119.49), v=st.floats(-0.5, 89.49), zoom=st.floats(0.5, 3))
-def test_a_window_shows_the_anchor_and_is_no_smaller_than_asked_for(seed, u, v, zoom):
+def test_a_window_contains_the_anchor_and_is_no_smaller_than_requested(seed, u, v, zoom):
     settings_ = AugmentSettings(zoom=(min(zoom, 1.0), zoom))
     window = random_window(SIZE, np.array([u, v]), settings_, np.random.default_rng(seed))
     for (first, end), length, at in zip([(w.start, w.stop) for w in window], SIZE, (v, u), strict=True):
@@ -160,7 +160,7 @@ def test_a_window_shows_the_anchor_and_is_no_smaller_than_asked_for(seed, u, v, 
         assert end - first >= length / max(zoom, 1.0) - 1
 
 
-def test_windows_take_all_sizes_and_places():
+def test_windows_have_all_sizes_and_positions():
     rng, rows = np.random.default_rng(0), []
     for _ in range(300):
         rows.append(random_window(SIZE, np.array([60.0, 45.0]), AugmentSettings(zoom=(1.0, 2.0)), rng)[0])
@@ -171,7 +171,7 @@ def test_windows_take_all_sizes_and_places():
     assert firsts.max() >= 35
 
 
-def test_what_is_pasted_lands_all_over_the_view_with_its_middle():
+def test_centres_of_pasted_objects_lie_all_over_the_view():
     mask = np.zeros(SIZE, bool)
     mask[10:21, 70:91] = True
     rng, middles = np.random.default_rng(0), []
@@ -184,7 +184,7 @@ def test_what_is_pasted_lands_all_over_the_view_with_its_middle():
     np.testing.assert_allclose(middles.max(axis=0), [95, 63], atol=4)
 
 
-def test_pixels_without_a_source_are_those_that_no_pixel_moves_to():
+def test_covered_pixels_are_those_with_a_source_in_the_image():
     angle = 0.4
     linear = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     affine = np.column_stack([linear, [20.0, -10.0]])
@@ -197,7 +197,7 @@ def test_pixels_without_a_source_are_those_that_no_pixel_moves_to():
     assert covered(SIZE, halved, (SIZE[0] // 2, SIZE[1] // 2)) is None
 
 
-def test_fine_texture_shown_small_turns_grey_and_stays_in_its_place():
+def test_minified_fine_texture_turns_grey_and_keeps_its_position():
     checks = np.indices(SIZE).sum(axis=0) % 2 * 255
     checks = np.repeat(checks[..., None], 3, axis=2).astype(np.uint8)
     for factor in (0.5, 0.4, 0.25):
@@ -226,7 +226,7 @@ def test_a_look_leaves_its_input_alone():
 
 
 def changes(**settings_: float) -> list[np.ndarray]:
-    """Twenty looks at an image with one property drawn."""
+    """An image with twenty random looks that change one property."""
     chosen = replace(UNCHANGED, **settings_)
     return [
         looked_at(random_rgb(), random_look(random_rgb(), chosen, np.random.default_rng(seed))).astype(float)
@@ -257,14 +257,14 @@ def test_saturation_and_hue_keep_greys():
         assert np.abs(looked_at(random_rgb(), look).astype(int) - random_rgb()).mean() > 3
 
 
-def test_a_hue_turned_by_a_third_swaps_the_colours():
+def test_rotating_the_hue_by_a_third_permutes_the_channels():
     settings_ = replace(UNCHANGED, hue=2 * np.pi / 3)
     looks = [random_look(random_rgb(), settings_, np.random.default_rng(seed)) for seed in range(500)]
     permutation = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
     assert min(np.abs(look.matrix[:, :3] - permutation).max() for look in looks) < 0.03
 
 
-def test_noise_is_as_wide_as_drawn_and_never_twice_the_same():
+def test_noise_has_the_drawn_deviation_and_is_never_the_same_twice():
     images = changes(noise=10.0)
     grains = [image - random_rgb() for image in images]
     deviations = [
@@ -278,14 +278,14 @@ def test_noise_is_as_wide_as_drawn_and_never_twice_the_same():
     assert 7 < max(deviations) < 10
 
 
-def test_noise_goes_on_at_the_beginning_of_its_table():
+def test_noise_wraps_around_at_the_end_of_its_table():
     table = grain()
     assert table.shape == (GRAIN,)
     np.testing.assert_array_equal(grain_of((2, 3), 5), table[5:11].reshape(2, 3))
     np.testing.assert_array_equal(grain_of((4,), GRAIN - 2), table[[-2, -1, 0, 1]])
 
 
-def test_blur_widens_a_dot_and_leaves_it_in_its_place():
+def test_blur_widens_a_dot_and_does_not_shift_it():
     uv = np.array([61.3, 40.8])
     image = dotted(SIZE, uv, 2.0)
     widths = set()
@@ -299,7 +299,7 @@ def test_blur_widens_a_dot_and_leaves_it_in_its_place():
     assert 0 <= min(widths) < 1
 
 
-def test_grounds_are_plain_coloured_or_pieces_and_often_grainy():
+def test_grounds_are_plain_coloured_or_tiles_and_often_noisy():
     picture = np.random.default_rng(0).integers(100, 110, (*SIZE, 3), dtype=np.uint8)
     kinds = []
     for seed in range(80):
@@ -317,7 +317,7 @@ def test_grounds_are_plain_coloured_or_pieces_and_often_grainy():
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_no_piece_of_a_picture_holds_an_object(seed):
+def test_no_tile_of_a_picture_contains_an_object(seed):
     picture = np.full((*SIZE, 3), 100, np.uint8)
     labels = np.zeros(SIZE, np.uint8)
     labels[30:50, 40:70] = 3
@@ -326,7 +326,7 @@ def test_no_piece_of_a_picture_holds_an_object(seed):
     np.testing.assert_array_equal(image, np.full((*SIZE, 3), 100))
 
 
-def test_pieces_change_places():
+def test_tiles_change_places():
     picture = np.random.default_rng(0).integers(0, 256, (*SIZE, 3), dtype=np.uint8)
     image = _pieced(picture, np.zeros(SIZE, bool), np.random.default_rng(0))
     assert image.shape == picture.shape
@@ -334,7 +334,7 @@ def test_pieces_change_places():
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 1000
 
 
-def test_a_picture_full_of_objects_has_grey_for_pieces():
+def test_a_picture_full_of_objects_becomes_grey():
     picture = np.random.default_rng(0).integers(0, 256, (*SIZE, 3), dtype=np.uint8)
     image = _pieced(picture, np.ones(SIZE, bool), np.random.default_rng(0))
     np.testing.assert_array_equal(image, np.full((*SIZE, 3), 128))

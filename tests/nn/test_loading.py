@@ -20,7 +20,7 @@ def test_batches_come_in_order_and_are_made_once_each():
     assert made == list(range(3, 9))
 
 
-def test_batches_are_made_while_one_is_used_but_not_without_end():
+def test_a_limited_number_of_batches_is_made_while_one_is_used():
     made: list[int] = []
     enough = threading.Event()
 
@@ -39,7 +39,7 @@ def test_batches_are_made_while_one_is_used_but_not_without_end():
     assert len(made) == PREFETCHED
 
 
-def test_the_time_that_was_waited_is_measured():
+def test_the_time_spent_waiting_is_measured():
     release = threading.Event()
 
     def make(step: int) -> int:
@@ -56,7 +56,7 @@ def test_the_time_that_was_waited_is_measured():
     assert 0.2 < waited.seconds - before < 5
 
 
-def test_a_user_who_takes_longer_than_batches_do_does_not_wait():
+def test_a_consumer_slower_than_the_batches_does_not_wait():
     waited = Waited()
     for step, _ in ahead(lambda step: step, iter(range(6)), 6, waited):
         if step == 0:
@@ -65,7 +65,7 @@ def test_a_user_who_takes_longer_than_batches_do_does_not_wait():
     assert waited.seconds - first < 0.02
 
 
-def test_an_error_in_making_a_batch_reaches_the_user():
+def test_an_error_in_making_a_batch_reaches_the_consumer():
     def make(step: int) -> int:
         raise ValueError(f"no batch {step}")
 

@@ -27,7 +27,7 @@ def random_case(seed: int = 0, scale: float = 0.7):
 
 
 def slow_contrastive(a, p, others, foreground, valid, settings: ContrastiveSettings) -> dict[str, float]:
-    """Eq. 1 pair by pair and pixel by pixel: the loss, and the means of what it is made of."""
+    """Eq. 1 in loops over pairs and pixels: the loss and the means of its terms."""
     b, m, _, d = others.shape
     unit = 1 / d if settings.normalised else 1.0
     losses, matches, hinges = [], [], {True: [], False: []}
@@ -82,7 +82,7 @@ def test_parts_of_a_batch_add_up_to_the_whole(hard_negatives):
         torch.testing.assert_close(sum(part.logged[name] for part in parts), value)
 
 
-def test_the_loss_is_zero_where_matches_agree_and_all_else_is_beyond_the_margins():
+def test_the_loss_is_zero_if_matches_agree_and_non_matches_are_beyond_the_margins():
     a = torch.zeros(1, 2, 4)
     others = torch.ones(1, 2, 3, 4)
     flags = torch.zeros(1, 2, 3, dtype=torch.bool)
@@ -103,7 +103,7 @@ def test_distances_do_not_depend_on_how_often_dimensions_are_repeated():
 
 
 @pytest.mark.parametrize("form", ["squared", "plain"])
-def test_gradients_are_finite_where_descriptors_coincide(form):
+def test_gradients_are_finite_if_descriptors_coincide(form):
     a = torch.zeros(1, 2, 4, requires_grad=True)
     others = torch.zeros(1, 2, 3, 4)
     flags = torch.zeros(1, 2, 3, dtype=torch.bool)
@@ -112,7 +112,7 @@ def test_gradients_are_finite_where_descriptors_coincide(form):
 
 
 def slow_heat_map_entropy(queries, grid, uv, alpha, spacing) -> float:
-    """Cross-entropy over grid points, distance by distance."""
+    """Cross-entropy in loops over grid points."""
     b, m, _ = queries.shape
     _, _, height, width = grid.shape
     total = 0.0
@@ -151,14 +151,14 @@ def test_bilinear_corners_reproduce_sampling():
     torch.testing.assert_close((values * weight[:, None]).sum(-1).transpose(1, 2), sampled(cells, uv))
 
 
-def test_infonce_is_lowest_where_each_pixel_is_like_itself_alone():
+def test_infonce_is_lower_for_correct_matches():
     torch.manual_seed(0)
     cells = torch.randn(1, 8, 4, 6) * 3
     uv = torch.tensor([[[11.5, 11.5], [35.5, 19.5], [27.5, 3.5]]])
-    right = sampled(cells, uv)
-    wrong = right.roll(1, dims=1)
-    good = infonce(cells, cells, right, right, uv, uv, 4.0, 0.1)
-    bad = infonce(cells, cells, right, wrong, uv, uv, 4.0, 0.1)
+    queries = sampled(cells, uv)
+    permuted = queries.roll(1, dims=1)
+    good = infonce(cells, cells, queries, queries, uv, uv, 4.0, 0.1)
+    bad = infonce(cells, cells, queries, permuted, uv, uv, 4.0, 0.1)
     assert float(good.loss) < float(bad.loss)
     assert means(good)["loss_match"] == 0.0
     logged = means(bad)
@@ -166,7 +166,7 @@ def test_infonce_is_lowest_where_each_pixel_is_like_itself_alone():
     assert logged["loss"] == pytest.approx(logged["loss_heat_map"] + 0.1 * logged["loss_match"])
 
 
-def test_up_sampled_descriptors_are_what_the_heat_maps_are_trained_on():
+def test_heat_maps_are_trained_on_up_sampled_descriptors():
     torch.manual_seed(0)
     cells = torch.randn(1, 4, 3, 5)
     index, weight = bilinear_corners(torch.tensor([[[13.0, 9.0]]]), 1.0, 24, 40)

@@ -80,7 +80,7 @@ def test_a_pixel_has_distance_zero_to_its_own_descriptor():
     assert maps[0, 30, 12] == pytest.approx(0.0, abs=2e-3)
 
 
-def test_a_saved_network_describes_alike(tmp_path):
+def test_a_loaded_network_gives_the_same_descriptors(tmp_path):
     network = small_network()
     network.save(tmp_path)
     again = load(tmp_path, "cpu")
@@ -90,7 +90,7 @@ def test_a_saved_network_describes_alike(tmp_path):
     assert not again.training
 
 
-def test_weights_of_another_description_are_refused(tmp_path):
+def test_weights_that_do_not_fit_model_json_are_refused(tmp_path):
     small_network().save(tmp_path)
     content = json.loads((tmp_path / "model.json").read_text())
     (tmp_path / "model.json").write_text(json.dumps({**content, "descriptor_dim": 5}))
@@ -98,14 +98,14 @@ def test_weights_of_another_description_are_refused(tmp_path):
         load(tmp_path, "cpu")
 
 
-def test_describing_leaves_the_mode_of_training_as_it_was():
+def test_describing_does_not_change_the_training_mode():
     network = small_network().train()
     network.describe(image(48, 64))
     assert network.training
 
 
 def a_vit() -> dict[str, torch.Tensor]:
-    """Weights of a small one, as a file holds them."""
+    """Weights of a small ViT, as in a file."""
     torch.manual_seed(1)
     sizes = Sizes(14, 64, 1, 17, 0, 64, gated=False, scaled=True)
     state = DenseViT(sizes, 1).state_dict()
@@ -113,7 +113,7 @@ def a_vit() -> dict[str, torch.Tensor]:
 
 
 def an_encoder(backbone: str, tmp_path: Path) -> DescriptorNetwork:
-    """A network on that backbone, from weights that are to be had here."""
+    """A network with that backbone, from weights made here if it needs some."""
     states = {"vit": a_vit, "efficientnet-lite0": lambda: DenseEfficientNet(1).state_dict()}
     if backbone.removesuffix("-tuned") not in states:
         return create(NetworkSettings(backbone, 8, 48), seed=0)
@@ -139,14 +139,14 @@ def test_a_network_on_any_backbone_describes_and_is_saved_and_loaded(tmp_path, b
 
 
 @pytest.mark.parametrize("backbone", SMALL)
-def test_training_changes_a_frozen_encoders_head_alone_and_every_parameter_of_others(tmp_path, backbone):
+def test_training_changes_only_the_head_of_a_frozen_encoder_and_every_parameter_of_others(tmp_path, backbone):
     network = an_encoder(backbone, tmp_path)
     before = {name: value.clone() for name, value in network.encoder.state_dict().items()}
     optimiser = torch.optim.SGD(network.trainable_parameters(), lr=1.0)
     network.train()
     for _ in range(2):
         optimiser.zero_grad()
-        # A square, since the sum of what a normalisation gives depends on nothing.
+        # The square, since the sum of normalised values is constant.
         network(torch.from_numpy(image(48, 64)[None])).square().mean().backward()
         optimiser.step()
     changed = {name for name, value in network.encoder.state_dict().items() if not torch.equal(value, before[name])}
@@ -157,7 +157,7 @@ def test_training_changes_a_frozen_encoders_head_alone_and_every_parameter_of_ot
 
 
 @pytest.mark.parametrize("backbone", ["efficientnet-lite0", "vit"])
-def test_a_frozen_encoder_stays_in_use_while_its_head_trains(tmp_path, backbone):
+def test_a_frozen_encoder_stays_in_evaluation_mode_while_its_head_trains(tmp_path, backbone):
     network = an_encoder(backbone, tmp_path).train()
     modes = {module.training for name, module in network.encoder.named_modules() if name and "head" not in name}
     assert modes == {False}
@@ -166,7 +166,7 @@ def test_a_frozen_encoder_stays_in_use_while_its_head_trains(tmp_path, backbone)
     assert not network.eval().encoder.head.training
 
 
-def test_the_same_seed_makes_the_same_network_and_disturbs_no_other_chance():
+def test_the_same_seed_makes_the_same_network_and_leaves_global_randomness_alone():
     torch.manual_seed(3)
     expected = torch.rand(1)
     torch.manual_seed(3)
@@ -177,7 +177,7 @@ def test_the_same_seed_makes_the_same_network_and_disturbs_no_other_chance():
     assert not torch.equal(first["encoder.conv1.weight"], other["encoder.conv1.weight"])
 
 
-def test_images_are_normalised_as_the_weights_were_trained_with():
+def test_images_are_normalised_as_in_the_training_of_the_weights():
     grey = torch.full((1, 8, 8, 3), 127, dtype=torch.uint8)
     network = DescriptorNetwork(NetworkSettings("efficientnet-lite0", 8, 48))
     torch.testing.assert_close(network.normalised(grey), torch.zeros(1, 3, 8, 8), atol=1e-6, rtol=0)
@@ -221,7 +221,7 @@ def test_every_backbone_has_a_head_and_a_description():
         ({"std": None}, "model.json: std: expected a value, got none"),
     ],
 )
-def test_a_damaged_description_is_told(tmp_path, changed, message):
+def test_a_damaged_model_json_is_refused(tmp_path, changed, message):
     DescriptorNetwork(NetworkSettings("resnet18", 4, 32)).save(tmp_path)
     file = tmp_path / "model.json"
     content = json.loads(file.read_text()) | changed

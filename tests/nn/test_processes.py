@@ -9,7 +9,7 @@ from bask_data.nn.processes import ALONE, Group, TooManyProcesses, joined
 
 
 @given(st.integers(1, 40), st.integers(1, 8), st.integers(1, 6))
-def test_processes_and_parts_share_a_batch_with_none_left_out_or_done_twice(n_examples, size, n_parts):
+def test_processes_and_parts_cover_a_batch_exactly_once(n_examples, size, n_parts):
     if n_examples < size:
         return
     shares = [Group(rank, size).share_of(n_examples, n_parts) for rank in range(size)]
@@ -26,10 +26,10 @@ def test_fewer_pairs_than_processes_are_refused():
         Group(0, 3).share_of(2, 1)
 
 
-def test_alone_everything_stays_as_it_is():
+def test_a_single_process_changes_nothing():
     network = torch.nn.Linear(2, 2)
     assert ALONE.wrapped(network) is network
-    assert ALONE.told("x") == "x"
+    assert ALONE.broadcast("x") == "x"
     assert ALONE.summed(torch.tensor([3.0])).tolist() == [3.0]
     assert ALONE.is_first
     assert not Group(1, 2).is_first

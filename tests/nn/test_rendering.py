@@ -36,13 +36,13 @@ def test_torch_places_a_picture_as_opencv_does(scale, angle, shift, mirrored, sh
     assert difference([AugmentedView(SIZE, (Layer(picture(*shape), affine),), NO_LOOK)]).max() <= 1
 
 
-def test_a_picture_that_fits_is_shown_as_it_is_by_both():
+def test_a_picture_of_the_views_size_is_unchanged_in_both():
     view = AugmentedView(SIZE, (Layer(picture(*SIZE), np.eye(2, 3)),), NO_LOOK)
     np.testing.assert_array_equal(drawn(view), picture(*SIZE))
     np.testing.assert_array_equal(drawn_on([view], CPU)[0].numpy(), picture(*SIZE))
 
 
-def test_upper_layers_cover_the_lower_where_they_are_shown():
+def test_upper_layers_cover_the_lower_ones_in_their_masks():
     ground, middle, top = (Layer(np.full((3, 3, 3), level, np.uint8), np.eye(2, 3)) for level in (10, 20, 30))
     left, upper = np.zeros(SIZE, bool), np.zeros(SIZE, bool)
     left[:, :20], upper[:15] = True, True
@@ -51,13 +51,13 @@ def test_upper_layers_cover_the_lower_where_they_are_shown():
     expected[left] = 20
     expected[upper] = 30
     np.testing.assert_array_equal(drawn(AugmentedView(SIZE, layers, NO_LOOK)), expected)
-    # Views of one batch may have layers of any number and size.
+    # Views of a batch may differ in the number and sizes of their layers.
     views = [AugmentedView(SIZE, layers[:n], NO_LOOK) for n in (1, 3, 2)]
     np.testing.assert_array_equal(drawn_on(views, CPU)[1].numpy(), expected)
     assert difference(views).max() == 0
 
 
-def test_both_look_at_an_image_alike():
+def test_both_apply_a_look_equally():
     rng = np.random.default_rng(3)
     views = [
         AugmentedView(
@@ -85,7 +85,7 @@ def test_an_array_is_the_same_on_a_device(array):
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-def test_a_gpu_draws_what_opencv_does():
+def test_a_gpu_renders_the_same_image_as_opencv():
     views = [
         AugmentedView(SIZE, (Layer(picture(*SIZE, i), np.eye(2, 3)),), Look(np.eye(3, 4), 1.0, 9.0, i))
         for i in range(3)

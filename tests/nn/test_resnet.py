@@ -7,10 +7,10 @@ import torch
 from bask_data.core.geometry import scale_pixels
 from bask_data.nn.resnet import DenseResNet, sampled, upsampled
 
-# Parameters of torchvision's networks without `fc`: its published totals less 1000 x (features + 1).
+# Numbers of parameters of torchvision's networks without `fc`: the published totals less 1000 x (features + 1).
 N_PARAMETERS = {18: 11_176_512, 34: 21_284_672, 50: 23_508_032, 101: 42_500_160}
 
-# What a ResNet's parameters are called in torchvision: conv1, bn1, then layers of blocks.
+# Names of a ResNet's parameters in torchvision: conv1, bn1, then layers of blocks.
 N_BLOCKS = {18: (2, 2, 2, 2), 34: (3, 4, 6, 3), 50: (3, 4, 6, 3), 101: (3, 4, 23, 3)}
 
 
@@ -60,15 +60,15 @@ def test_an_unknown_depth_is_refused_with_the_choices():
 
 @pytest.mark.parametrize("depth", [18, 50])
 @pytest.mark.parametrize(("size", "cells"), [((64, 96), (8, 12)), ((60, 90), (8, 12)), ((8, 8), (1, 1))])
-def test_one_cell_stands_for_eight_by_eight_pixels(depth, size, cells):
+def test_one_cell_describes_eight_by_eight_pixels(depth, size, cells):
     network = DenseResNet(depth, 4).eval()
     with torch.no_grad():
         assert network(torch.zeros(1, 3, *size)).shape == (1, 4, *cells)
 
 
-def test_a_cell_looks_at_the_middle_of_its_block_to_half_a_pixel(monkeypatch):
-    # Positive weights and a mean instead of a maximum, so that every pixel of the receptive field has its share; the
-    # dilated layers are symmetric and only make it wider.
+def test_a_cell_is_centred_on_its_block_to_half_a_pixel(monkeypatch):
+    # Positive weights and mean instead of maximum, so that every pixel of the receptive field contributes; the dilated
+    # layers are symmetric and only widen it.
     monkeypatch.setattr("torch.nn.functional.max_pool2d", torch.nn.functional.avg_pool2d)
     network = DenseResNet(18, 1).double().eval()
     network.layer3, network.layer4 = torch.nn.Identity(), torch.nn.Identity()
@@ -85,7 +85,7 @@ def test_a_cell_looks_at_the_middle_of_its_block_to_half_a_pixel(monkeypatch):
 
 
 def test_dilated_layers_compute_what_strided_ones_would_at_every_second_position():
-    # A dilated layer is a strided one evaluated everywhere: at even cells both read the same taps.
+    # A dilated layer is a strided one evaluated everywhere: at even cells both read the same inputs.
     torch.manual_seed(0)
     network = DenseResNet(18, 4).eval()
     strided = torch.nn.Conv2d(128, 256, 3, stride=2, padding=1, bias=False)
@@ -103,7 +103,7 @@ def test_dilated_layers_compute_what_strided_ones_would_at_every_second_position
 
 
 def test_up_sampling_agrees_with_scale_pixels():
-    # A ramp along u: after up-sampling, pixel u holds the cell coordinate that scale_pixels says.
+    # A ramp along u: after up-sampling, the value of pixel u is its cell coordinate by scale_pixels.
     cells = torch.arange(10.0).expand(1, 1, 6, 10)
     full = upsampled(cells, (48, 80))[0, 0].numpy()
     uv = np.stack([np.arange(80.0), np.zeros(80)], axis=-1)

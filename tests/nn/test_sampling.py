@@ -36,16 +36,16 @@ OUT_SIZES = st.sampled_from([(48, 64), (40, 48), (56, 56)])
 
 
 def seen_at(rgb: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Colours of the pixels that matches fall on."""
+    """Colours of the pixels at matches."""
     u, v = np.rint(uv).astype(int).T
     return rgb[v, u].astype(float)
 
 
 def plane_from_pixels(rgb: np.ndarray, uv: np.ndarray, marker: float) -> np.ndarray | None:
-    """Where on the plane the pixels (u, v, 1) of an image lie, as an object's colours say; None if too little is seen.
+    """Affine map from pixels (u, v, 1) to the plane, fitted to an object's colours; None if too little is visible.
 
-    It begins with the pixels around the matches and takes in all others that agree: what is painted over may have the
-    object's blue by chance, but does not lie in its plane.
+    Starts with the pixels around the matches and adds all others that agree: filled pixels may have the object's blue
+    by chance, but are inconsistent with its plane.
     """
     v, u = np.nonzero(np.abs(rgb[..., 2].astype(float) - marker) <= 1)
     pixels, plane = np.column_stack([u, v, np.ones(len(u))]), rgb[v, u, :2] / RAMP_STEP
@@ -59,7 +59,7 @@ def plane_from_pixels(rgb: np.ndarray, uv: np.ndarray, marker: float) -> np.ndar
 
 
 def read_errors(source: RampPairs, rgb: np.ndarray, uv: np.ndarray, marker: float) -> tuple[np.ndarray, float]:
-    """Where matches lie on the plane, read off the image alone, and the largest distance from a true match, pixels."""
+    """Positions of matches on the plane, read from the image only, and the largest error, pixels."""
     matrix = plane_from_pixels(rgb, uv, marker)
     if matrix is None:
         return np.full((len(uv), 2), np.nan), np.nan
@@ -67,7 +67,7 @@ def read_errors(source: RampPairs, rgb: np.ndarray, uv: np.ndarray, marker: floa
     points = points[instance == source.instance_of(marker)]
     plane = np.column_stack([uv, np.ones(len(uv))]) @ matrix
     nearest = np.linalg.norm(plane[:, None] - points, axis=-1).argmin(axis=1)
-    # Both go back to the image, for the bar is in its pixels.
+    # Mapped back to the image, since the tolerance is in its pixels.
     return points[nearest], np.linalg.norm((plane - points[nearest]) @ np.linalg.inv(matrix[:2]), axis=1).max()
 
 
@@ -78,12 +78,12 @@ def read_errors(source: RampPairs, rgb: np.ndarray, uv: np.ndarray, marker: floa
     augment=st.builds(lambda **chosen: replace(COLOURLESS, **chosen), **GEOMETRY),
 )
 @settings(max_examples=100)
-def test_every_match_lies_on_the_surface_it_belongs_to_however_images_are_changed(step, n_objects, size, augment):
+def test_every_match_lies_on_its_surface_point_under_all_augmentations(step, n_objects, size, augment):
     source = RampPairs(n_objects, n_scans=2)
     batch = batch_of_step(source, 0, step, replace(SAMPLE, size=size), augment)
     for rgb_a, rgb_b, uv_a, uv_b in zip(batch.rgb_a, batch.rgb_b, batch.uv_a, batch.uv_b, strict=True):
         markers = np.unique(np.concatenate([seen_at(rgb_a, uv_a), seen_at(rgb_b, uv_b)])[:, 2])
-        assert len(markers) == 1, "a match is covered, or on another object"
+        assert len(markers) == 1, "a match is hidden or on another object"
         points_a, error_a = read_errors(source, rgb_a, uv_a, markers[0])
         points_b, error_b = read_errors(source, rgb_b, uv_b, markers[0])
         assert not error_a >= 0.5
@@ -93,7 +93,7 @@ def test_every_match_lies_on_the_surface_it_belongs_to_however_images_are_change
 
 
 def places_on_plane(rgb: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Where matches lie on the plane, and the matrix that tells it of pixels (u, v, 1); None if too little is seen."""
+    """Positions of matches on the plane, and the map from pixels (u, v, 1) to it; None if too little is visible."""
     matrix = plane_from_pixels(rgb, uv, seen_at(rgb, uv)[0, 2])
     return None if matrix is None else (np.column_stack([uv, np.ones(len(uv))]) @ matrix, matrix)
 
@@ -109,7 +109,7 @@ def test_matches_of_an_image_with_itself_are_exact(step, augment):
 
 
 def test_matches_of_an_image_with_itself_lie_all_over_the_object():
-    # Those of two images are 5 pixels apart here, and on real objects only where both have depth.
+    # Matches of two images are 5 pixels apart here, and on real objects only where both have depth.
     source = RampPairs(1)
     _, listed = source.points()
     away = []
@@ -122,8 +122,8 @@ def test_matches_of_an_image_with_itself_lie_all_over_the_object():
     assert 0.8 < np.mean(np.concatenate(away) > 0.7) < 1.0
 
 
-def test_matches_are_read_off_nearly_all_images():
-    # The test above skips images that show too little of an object to read them.
+def test_matches_can_be_read_from_nearly_all_images():
+    # The test above skips images that show too little of an object.
     source, n_read = RampPairs(2, n_scans=2), 0
     augment = replace(COLOURLESS, zoom=(0.6, 2.5), composition=0.5)
     for step in range(50):
@@ -139,8 +139,8 @@ def test_matches_are_read_off_nearly_all_images():
     look=st.fixed_dictionaries(LOOK),
 )
 @settings(max_examples=30)
-def test_light_and_grain_move_no_match(step, geometry, look):
-    # So what is read off colourless images holds for all others.
+def test_photometric_changes_move_no_match(step, geometry, look):
+    # Results for images without photometric changes thus hold for all others.
     source, plain = RampPairs(2, n_scans=2), replace(COLOURLESS, **geometry)
     coloured = batch_of_step(source, 0, step, SAMPLE, replace(plain, **look))
     colourless = batch_of_step(source, 0, step, SAMPLE, plain)
@@ -148,17 +148,17 @@ def test_light_and_grain_move_no_match(step, geometry, look):
         np.testing.assert_array_equal(getattr(coloured, name), getattr(colourless, name))
 
 
-def assert_same(one, other):
-    for a, b in zip(astuple(one), astuple(other), strict=True):
+def assert_same(first, second):
+    for a, b in zip(astuple(first), astuple(second), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
-def test_a_batch_depends_on_seed_and_step_alone():
+def test_a_batch_depends_on_seed_and_step_only():
     source = ScenePairs()
     first = [batch_of_step(source, 7, step, SAMPLE, AugmentSettings(composition=0.5)) for step in (0, 1, 2)]
     again = [batch_of_step(source, 7, step, SAMPLE, AugmentSettings(composition=0.5)) for step in (2, 0, 1)]
-    for one, other in zip(first, [again[1], again[2], again[0]], strict=True):
-        assert_same(one, other)
+    for batch, repeated in zip(first, [again[1], again[2], again[0]], strict=True):
+        assert_same(batch, repeated)
     other_seed = batch_of_step(source, 8, 0, SAMPLE, AugmentSettings(composition=0.5))
     assert not np.array_equal(first[0].rgb_a, other_seed.rgb_a)
     assert not np.array_equal(first[0].rgb_a, first[1].rgb_a)
@@ -174,7 +174,7 @@ def test_some_examples_of_a_step_are_those_of_the_whole_step():
     assert not np.array_equal(whole.rgb_a[0], whole.rgb_a[1])
 
 
-def test_a_plan_drawn_by_torch_is_the_batch_that_opencv_draws():
+def test_a_plan_rendered_by_torch_is_the_batch_rendered_by_opencv():
     augment = AugmentSettings(zoom=(0.5, 2.0), composition=1.0, crop="padded", blur=1.5)
     for step in range(4):
         batch = batch_of_step(ScenePairs(), 1, step, SAMPLE, augment)
@@ -197,7 +197,7 @@ def test_all_coordinates_are_in_the_images():
         assert batch.rgb_a.shape == (2, 48, 64, 3)
 
 
-def test_a_pair_is_of_one_instance_and_its_matches_are_the_given_ones():
+def test_a_pair_shows_one_instance_and_its_matches_are_those_of_the_source():
     source = ScenePairs()
     seen = set()
     for step in range(12):
@@ -219,7 +219,7 @@ def test_a_pair_is_of_one_instance_and_its_matches_are_the_given_ones():
     assert len(seen) > 1
 
 
-def test_some_pairs_are_an_image_with_itself_as_often_as_asked():
+def test_the_share_of_self_pairs_is_as_requested():
     alone = replace(SAMPLE, n_pairs=1)
 
     def is_one_image(step: int, share: float) -> bool:
@@ -237,7 +237,7 @@ def pasted_share(rgb: np.ndarray, marker: int) -> float:
     return (rgb[..., 2] == marker).mean()
 
 
-def test_an_object_of_the_same_scan_is_pasted_where_a_scan_has_several():
+def test_an_object_of_the_same_scan_is_pasted_if_the_scan_has_several():
     source = RampPairs(2, n_scans=2, n_pairs=2)
     n_more = 0
     for step in range(30):
@@ -254,7 +254,7 @@ def test_an_object_of_the_same_scan_is_pasted_where_a_scan_has_several():
     assert n_more >= 15
 
 
-def test_an_object_of_another_scan_is_pasted_where_each_scan_has_one():
+def test_an_object_of_another_scan_is_pasted_if_each_scan_has_one():
     source = RampPairs(1, n_scans=3, n_pairs=2)
     n_pasted = 0
     for step in range(30):
@@ -265,7 +265,7 @@ def test_an_object_of_another_scan_is_pasted_where_each_scan_has_one():
     assert n_pasted >= 20
 
 
-def test_what_is_pasted_is_background():
+def test_pasted_objects_count_as_background():
     source = RampPairs(1, n_scans=2)
     sample = replace(SAMPLE, n_pairs=1, n_non_matches=200, foreground_share=0.5)
     other_seen = False
@@ -274,14 +274,14 @@ def test_what_is_pasted_is_background():
         own = seen_at(batch.rgb_b[0], batch.uv_b[0])[0, 2]
         colours = seen_at(batch.rgb_b[0], batch.non_matches_b[0].reshape(-1, 2))[:, 2].reshape(32, 200)
         (other,) = {80, 100} - {own}
-        # Colours blend at the edge of an object, so a few pixels are neither.
+        # Colours blend at the edge of an object, so a few pixels belong to neither.
         assert (colours[batch.foreground[0]] == own).mean() > 0.9
         assert not (colours[batch.foreground[0]] == other).any()
         other_seen |= bool((colours[~batch.foreground[0]] == other).any())
     assert other_seen
 
 
-def test_a_pair_whose_object_would_be_hidden_goes_without():
+def test_nothing_is_pasted_that_would_hide_the_object():
     source, sample = RampPairs(1, n_scans=2), replace(SAMPLE, n_pairs=1, n_matches=2000, n_non_matches=0)
     fewest = 1.0
     for step in range(40):
@@ -290,18 +290,18 @@ def test_a_pair_whose_object_would_be_hidden_goes_without():
             for share in (0.0, 1.0)
         )
         fewest = min(fewest, after / before)
-    # Each of the two images may hide three quarters of what is left.
+    # Each of the two images may lose three quarters of the remaining matches.
     assert LEAST_SHOWN**2 <= fewest < 0.9
 
 
-def test_a_source_with_nothing_else_to_paste_stays_as_it_is():
+def test_nothing_is_pasted_if_there_is_no_other_object():
     source = RampPairs(1, n_scans=1)
     for step in range(3):
         images = [batch_of_step(source, 0, step, SAMPLE, replace(PLAIN, composition=c)).rgb_a for c in (0.0, 1.0)]
         assert (images[0] == images[1]).mean() > 0.99
 
 
-def test_a_padded_crop_keeps_its_scale_and_paints_over_the_rest():
+def test_a_padded_crop_keeps_its_scale_and_the_rest_is_filled():
     source, sample = RampPairs(1), replace(SAMPLE, size=RAMP_SIZE, n_pairs=1)
     shares = []
     for step in range(60):
@@ -321,7 +321,7 @@ def test_a_padded_crop_keeps_its_scale_and_paints_over_the_rest():
     assert abs(np.corrcoef(heights, widths)[0, 1]) < 0.5
 
 
-def test_everything_off_the_objects_is_painted_over_and_the_objects_are_not():
+def test_the_background_is_replaced_and_the_objects_are_not():
     source, sample = RampPairs(2), replace(SAMPLE, size=RAMP_SIZE)
     for step in range(6):
         plain = batch_of_step(source, 0, step, sample, PLAIN)
@@ -330,17 +330,17 @@ def test_everything_off_the_objects_is_painted_over_and_the_objects_are_not():
             is_object = np.isin(before[..., 2], [source.marker(0, instance) for instance in (1, 2)])
             same = (before == after).all(axis=-1)
             assert same[is_object].mean() > 0.98
-            # Pieces of the picture's own background may by chance return to their place.
+            # Tiles of the picture's own background may by chance return to their place.
             assert same[before[..., 2] == 20].mean() < 0.2
 
 
-def test_what_a_small_image_leaves_free_shows_no_second_object():
+def test_the_margin_around_a_small_image_shows_no_second_object():
     source, sample = RampPairs(1), replace(SAMPLE, size=RAMP_SIZE, n_pairs=1)
     marker = source.marker(0, 1)
     for step in range(10):
         whole = batch_of_step(source, 0, step, sample, PLAIN).rgb_a[0]
         small = batch_of_step(source, 0, step, sample, replace(PLAIN, zoom=(0.6, 0.6))).rgb_a[0]
-        # Mirrored at its edges, as layers are, the image would show more of the object than before.
+        # Extended by reflection, as layers are, the image would show more of the object than before.
         assert (small[..., 2] == marker).sum() < 0.5 * (whole[..., 2] == marker).sum()
 
 
@@ -356,7 +356,7 @@ def test_both_images_of_a_pair_are_mirrored_or_neither():
     assert 4 <= n_mirrored <= 16
 
 
-def test_a_match_at_the_very_edge_of_its_object_is_used_when_there_is_no_other():
+def test_a_match_at_the_very_edge_of_its_object_is_used_if_there_is_no_other():
     source = RampPairs(1)
     pair = source.pair(0)
     at_edge = replace(
@@ -372,7 +372,7 @@ def test_a_match_at_the_very_edge_of_its_object_is_used_when_there_is_no_other()
 
 
 @pytest.mark.parametrize("foreground_share", ["auto", 0.3])
-def test_non_matches_lie_where_they_say_and_away_from_the_match(foreground_share):
+def test_non_matches_lie_on_or_off_the_instance_as_stated_and_away_from_the_match(foreground_share):
     mask = np.zeros((40, 50), bool)
     mask[5:25, 10:35] = True
     uv = np.stack([np.linspace(11, 33, 30), np.linspace(6, 23, 30)], axis=-1).astype(np.float32)
@@ -399,7 +399,7 @@ def test_background_non_matches_reach_every_corner_of_the_image():
     assert (hit == ~mask).all()
 
 
-def test_an_object_smaller_than_the_clearance_gives_no_foreground_that_counts():
+def test_an_object_smaller_than_the_clearance_gives_no_valid_foreground():
     mask = np.zeros((40, 50), bool)
     mask[20:22, 30:32] = True
     uv = np.full((3, 2), [30.5, 20.5], np.float32)

@@ -20,7 +20,7 @@ def test_inner_pixels_keep_away_from_the_edges_and_have_depth():
     assert len(uv) > 0
     u, v = uv.T
     assert (u % 2 == 1).all()
-    # Distance from the first pixel off the mask: column 19 and 50, row 30, and row -1 off the image.
+    # Distances from the nearest pixels off the mask: columns 19 and 50, row 30, and row -1 outside the image.
     assert u.min() - 19 > 5
     assert 50 - u.max() > 5
     assert 30 - v.max() > 5
@@ -29,7 +29,7 @@ def test_inner_pixels_keep_away_from_the_edges_and_have_depth():
 
 
 def position_views(n_views: int) -> tuple[list[SelectionView], list[np.ndarray]]:
-    """Views whose descriptors are the world coordinates of what is seen: perfect ones."""
+    """Views with perfect descriptors: the world coordinates of the visible points; and these points."""
     scene, views, points = tabletop(3, seed=1), [], []
     for world_from_camera in orbit(n_views, n_turns=0.2, elevation_deg=(40.0, 60.0)):
         image = scene.render(K, world_from_camera, *SIZE)
@@ -39,7 +39,7 @@ def position_views(n_views: int) -> tuple[list[SelectionView], list[np.ndarray]]
     return views, points
 
 
-def test_points_are_found_again_by_perfect_descriptors_and_not_by_equal_ones():
+def test_points_are_re_found_by_perfect_descriptors_and_not_by_equal_ones():
     views, points = position_views(4)
     chosen = points[0].reshape(-1, 3)[::97]
     perfect = torch.from_numpy(chosen).float()
@@ -50,7 +50,7 @@ def test_points_are_found_again_by_perfect_descriptors_and_not_by_equal_ones():
     assert confused.mean() < 0.1
 
 
-def test_points_no_view_shows_are_not_found():
+def test_points_that_no_view_shows_are_not_re_found():
     views, _ = position_views(2)
     hidden = np.array([[0.0, 0.0, -0.5], [100.0, 0.0, 0.0]])
     share, shown = found_again(hidden, torch.zeros(2, 3), views)
@@ -58,7 +58,7 @@ def test_points_no_view_shows_are_not_found():
     assert share.tolist() == [0.0, 0.0]
 
 
-def test_chosen_points_are_far_apart_and_found_well():
+def test_chosen_points_are_far_apart_and_re_found_often():
     rng = np.random.default_rng(0)
     points = rng.uniform(size=(200, 3))
     share = np.where(points[:, 0] < 0.5, 1.0, 0.2)
@@ -73,5 +73,5 @@ def test_chosen_points_are_far_apart_and_found_well():
     assert apart > max(random)
 
 
-def test_fewer_points_than_asked_for_are_all_taken():
+def test_all_points_are_chosen_if_there_are_fewer_than_requested():
     assert sorted(spread_out(np.eye(3), np.array([0.1, 0.5, 0.2]), 5).tolist()) == [0, 1, 2]

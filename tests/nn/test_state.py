@@ -45,7 +45,7 @@ def names(folder: Path) -> list[str]:
     return sorted(file.name for file in folder.iterdir())
 
 
-def test_what_was_saved_comes_back_to_the_bit_and_laid_out_as_the_network_is(tmp_path):
+def test_a_loaded_state_is_bit_identical_and_has_the_networks_memory_layout(tmp_path):
     network, optimiser = trained()
     best = {name: value + 1 for name, value in copied(network).items()}
     save_state(tmp_path, network, optimiser, Progress(2, CURVE, 1, best))
@@ -63,7 +63,7 @@ def test_what_was_saved_comes_back_to_the_bit_and_laid_out_as_the_network_is(tmp
     assert states[0]["exp_avg"].is_contiguous(memory_format=torch.channels_last)
 
 
-def test_without_a_state_it_is_the_very_beginning(tmp_path):
+def test_without_a_state_training_starts_at_step_zero(tmp_path):
     network, optimiser = untrained()
     before = copied(network)
     assert load_state(tmp_path, network, optimiser) == Progress()
@@ -71,7 +71,7 @@ def test_without_a_state_it_is_the_very_beginning(tmp_path):
     assert all(torch.equal(value, before[name]) for name, value in network.state_dict().items())
 
 
-def test_a_kill_between_the_best_weights_and_the_state_leaves_those_that_belong_together(tmp_path, monkeypatch):
+def test_a_kill_between_writing_best_weights_and_state_leaves_a_consistent_pair(tmp_path, monkeypatch):
     from bask_data.nn import state
 
     network, optimiser = trained()
@@ -100,20 +100,20 @@ def test_only_the_best_weights_of_the_state_are_kept(tmp_path):
     assert names(tmp_path) == [BEST.format(step=2), STATE]
 
 
-@pytest.mark.parametrize("spoilt", [STATE, BEST.format(step=1)])
+@pytest.mark.parametrize("truncated", [STATE, BEST.format(step=1)])
 @pytest.mark.parametrize("left", [0, 5, 200])
-def test_a_state_that_a_disk_has_spoilt_is_taken_away_and_a_whole_one_is_not(tmp_path, spoilt, left):
+def test_a_truncated_state_is_deleted_and_an_intact_one_is_not(tmp_path, truncated, left):
     network, optimiser = trained()
     save_state(tmp_path, network, optimiser, Progress(2, CURVE, 1, copied(network)))
     assert not remove_damaged_state(tmp_path)
     assert saved_step(tmp_path) == 2
-    (tmp_path / spoilt).write_bytes((tmp_path / spoilt).read_bytes()[:left])
+    (tmp_path / truncated).write_bytes((tmp_path / truncated).read_bytes()[:left])
     assert remove_damaged_state(tmp_path)
     assert names(tmp_path) == []
     assert not remove_damaged_state(tmp_path)
 
 
-def test_a_state_without_its_best_weights_is_taken_away(tmp_path):
+def test_a_state_without_its_best_weights_is_deleted(tmp_path):
     network, optimiser = trained()
     save_state(tmp_path, network, optimiser, Progress(2, CURVE, 1, copied(network)))
     (tmp_path / BEST.format(step=1)).unlink()
@@ -121,7 +121,7 @@ def test_a_state_without_its_best_weights_is_taken_away(tmp_path):
     assert names(tmp_path) == []
 
 
-def test_what_a_kill_leaves_half_written_is_taken_away_and_the_state_at_the_end(tmp_path):
+def test_half_written_files_are_deleted_and_the_state_at_the_end(tmp_path):
     network, optimiser = trained()
     save_state(tmp_path, network, optimiser, Progress(2, CURVE, 1, copied(network)))
     for left in ("state.part", ".tmpqWgRll", "best~3.part"):

@@ -30,7 +30,7 @@ CONTRASTIVE = {
 
 
 class TinyEncoder(torch.nn.Module):
-    """What all encoders are, and fast: convolutions with batch statistics to cells at stride 8, and a head."""
+    """A small encoder like all others: convolutions with batch norm to cells at stride 8, and a head."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -76,7 +76,7 @@ def stopping_before(step: int):
 
 
 class Verdicts:
-    """Validation whose outcome is known: a metric for each time it is asked, and the weights it was asked about."""
+    """A validation with known results: one metric per call; records the weights of each call."""
 
     def __init__(self, *values: float, name: str = "validation_pck_4") -> None:
         self.values, self.name = list(values), name
@@ -99,7 +99,7 @@ def test_training_twice_gives_the_same_bits(loss):
 
 
 def judged(network: DescriptorNetwork) -> dict[str, float]:
-    """A validation metric that depends on the weights alone."""
+    """A validation metric that depends on the weights only."""
     return {"validation_pck_4": float(network.encoder.head.weight.detach().sum())}
 
 
@@ -128,7 +128,7 @@ def test_an_interrupted_training_ends_with_the_bits_of_an_uninterrupted_one(tmp_
     assert_equal_bits(resumed, weights(whole))
     again = new_network()
     assert train_network(again, Examples(ScenePairs(), sample, AUGMENT), settings, **arguments, steps=steps) == expected
-    assert numbers[-1] == 5, "a training that is done is not done again"
+    assert numbers[-1] == 5, "a finished training is not repeated"
     assert_equal_bits(again, weights(whole))
 
 
@@ -163,7 +163,7 @@ def test_a_batch_in_parts_gives_the_gradients_of_the_whole(loss):
     settings = replace(SETTINGS, steps=2, loss=loss, frozen_batch_norm=True, log_every=1)
     sample, whole, parted = replace(SAMPLE, n_pairs=3), new_network(), new_network()
     of_whole = train_network(whole, Examples(ScenePairs(), sample, AUGMENT), settings)
-    # Three pairs in two parts: they are of one and of two pairs, and weigh as much.
+    # Three pairs in two parts, of one and of two pairs, weighted accordingly.
     of_parts = train_network(parted, Examples(ScenePairs(), sample, AUGMENT), replace(settings, accumulate=2))
     values = [[value for _, _, value in trained.curve] for trained in (of_whole, of_parts)]
     assert values[0] == pytest.approx(values[1], rel=1e-4)
@@ -190,7 +190,7 @@ def test_the_weights_that_validated_best_are_kept(tmp_path, name, values, chosen
     assert [file.name for file in tmp_path.glob(BEST.format(step="*"))] == [BEST.format(step=chosen)]
 
 
-def test_without_a_metric_to_choose_by_the_last_weights_are_kept():
+def test_without_a_metric_the_last_weights_are_kept():
     verdicts, network = Verdicts(0.9, 0.1), new_network()
     settings = replace(SETTINGS, steps=2, validate_every=1, best_by=None)
     trained = train_network(network, Examples(ScenePairs(), SAMPLE, AUGMENT), settings, validate=verdicts)
@@ -198,7 +198,7 @@ def test_without_a_metric_to_choose_by_the_last_weights_are_kept():
     assert_equal_bits(network, verdicts.seen[1])
 
 
-def test_training_ends_early_when_validation_gets_no_better(tmp_path):
+def test_training_stops_early_when_validation_does_not_improve(tmp_path):
     verdicts, network = Verdicts(0.1, 0.5, 0.4, 0.3), new_network()
     settings = replace(SETTINGS, steps=40, validate_every=1, patience=2)
     arguments = {"validate": verdicts, "state_folder": tmp_path}
@@ -207,11 +207,11 @@ def test_training_ends_early_when_validation_gets_no_better(tmp_path):
     assert_equal_bits(network, verdicts.seen[1])
     again = new_network()
     assert train_network(again, Examples(ScenePairs(), SAMPLE, AUGMENT), settings, **arguments) == trained
-    assert len(verdicts.seen) == 4, "called again, it knows that it has ended"
+    assert len(verdicts.seen) == 4, "called again, it does not continue"
     assert_equal_bits(again, verdicts.seen[1])
 
 
-def test_patience_begins_anew_with_each_better_one():
+def test_patience_restarts_with_each_improvement():
     verdicts = Verdicts(0.1, 0.0, 0.2, 0.1, 0.3, 0.2)
     settings = replace(SETTINGS, steps=6, validate_every=1, patience=2)
     trained = train_network(new_network(), Examples(ScenePairs(), SAMPLE, AUGMENT), settings, validate=verdicts)
@@ -237,18 +237,18 @@ def test_frozen_batch_norm_keeps_its_statistics_after_validation_too():
     assert not torch.equal(before["encoder.conv1.weight"], after["encoder.conv1.weight"])
 
 
-def test_a_planned_batch_drawn_on_the_device_trains_as_one_drawn_before():
+def test_a_plan_rendered_on_the_device_trains_as_a_batch():
     given = (ScenePairs(), 0, 1, replace(SAMPLE, n_pairs=2), AUGMENT)
     cpu, losses = torch.device("cpu"), []
     for made in (batch_of_step(*given), plan_of_step(*given)):
         terms = training._terms(new_network(), training._on_device(made, cpu), SETTINGS)
         losses.append({name: float(value / count) for name, (value, count) in terms.logged.items()})
-    # Images are equal to the rounding of grey levels.
+    # Images are equal up to the rounding of grey levels.
     assert losses[0] == pytest.approx(losses[1], rel=0.02)
     assert losses[0]["loss"] > 0.1
 
 
-def test_what_is_frozen_is_not_trained():
+def test_frozen_parameters_are_not_trained():
     network = new_network()
     network.encoder.requires_grad_(False)
     network.encoder.head.requires_grad_(True)
@@ -258,14 +258,14 @@ def test_what_is_frozen_is_not_trained():
     assert changed == {"encoder.head.weight", "encoder.head.bias"}
 
 
-def test_speed_and_waiting_are_told_but_are_no_part_of_the_curve():
-    told: list[tuple[int, dict[str, float]]] = []
+def test_speed_and_waiting_are_reported_but_not_part_of_the_curve():
+    reported: list[tuple[int, dict[str, float]]] = []
     settings = replace(SETTINGS, steps=4)
     trained = train_network(
-        new_network(), Examples(ScenePairs(), SAMPLE, AUGMENT), settings, watch=lambda *row: told.append(row)
+        new_network(), Examples(ScenePairs(), SAMPLE, AUGMENT), settings, watch=lambda *row: reported.append(row)
     )
-    assert [step for step, _ in told] == [2, 4]
-    for _, values in told:
+    assert [step for step, _ in reported] == [2, 4]
+    for _, values in reported:
         assert values["images_per_second"] > 0
         assert 0 <= values["share_waited"] <= 1
         speed = {"images_per_second", "share_waited"} & values.keys()
@@ -273,7 +273,7 @@ def test_speed_and_waiting_are_told_but_are_no_part_of_the_curve():
     assert not {"images_per_second", "share_waited"} & {name for _, name, _ in trained.curve}
 
 
-def test_bfloat16_computes_in_it_and_ends_near_float32():
+def test_bfloat16_is_used_and_gives_nearly_the_loss_of_float32():
     losses = {}
     for precision in ("float32", "bfloat16"):
         settings = replace(SETTINGS, steps=2, precision=precision, log_every=1)
@@ -305,7 +305,7 @@ def weights_as_terms(network: DescriptorNetwork) -> Terms:
     return Terms(loss, {"loss": torch.stack([loss.detach(), torch.tensor(1.0)])})
 
 
-def test_rates_follow_their_schedule():
+def test_learning_rates_follow_their_schedule():
     step = TrainingSettings(steps=100, learning_rate=1.0, decay=0.5, decay_every=10)
     assert [learning_rate(i, step) for i in (0, 9, 10, 25)] == [1.0, 1.0, 0.5, 0.25]
     cosine = TrainingSettings(steps=100, learning_rate=1.0, schedule="cosine", warmup=3)
@@ -314,7 +314,7 @@ def test_rates_follow_their_schedule():
     assert learning_rate(99, cosine) < 0.001
 
 
-def test_a_loss_that_is_no_number_stops_training():
+def test_a_loss_that_is_not_finite_stops_training():
     network = new_network()
     with torch.no_grad():
         network.encoder.head.weight.fill_(float("nan"))

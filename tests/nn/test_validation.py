@@ -10,7 +10,7 @@ from tests.nn.pairs import ScenePairs
 
 
 class Positions(torch.nn.Module):
-    """Describes each pixel by its position."""
+    """Describes each cell by the position of its centre."""
 
     def __init__(self, shift: float = 0.0) -> None:
         super().__init__()
@@ -28,7 +28,7 @@ def network_of_positions() -> DescriptorNetwork:
 
 
 def position_errors(i_pairs: list[int]) -> np.ndarray:
-    """Such a network finds the position of the query, wherever the match is."""
+    """Errors of such a network: it finds the position of the query, not that of the match."""
     source = ScenePairs(n_views=2)
     pairs = [source.pair(i) for i in i_pairs]
     return np.concatenate([np.linalg.norm(pair.uv_a.clip(3.5, [123.5, 91.5]) - pair.uv_b, axis=1) for pair in pairs])
@@ -45,7 +45,7 @@ def test_metrics_are_the_median_and_shares_of_the_errors():
     errors = position_errors([0, 1])
     assert metrics["validation_median_error_px"] == pytest.approx(np.median(errors), abs=1.0)
     for percent in (1, 2, 4, 8):
-        # Errors are known to a pixel here, so the share lies between those of a threshold moved by one.
+        # Errors are known to a pixel, so PCK lies between its values at thresholds one pixel lower and higher.
         limit = percent / 100 * 160
         low, high = (errors <= limit - 1).mean(), (errors <= limit + 1).mean()
         assert low <= metrics[f"validation_pck_{percent}"] <= high

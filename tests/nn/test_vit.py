@@ -20,7 +20,7 @@ KINDS = {
 
 
 def network(sizes: Sizes = PLAIN, n_outputs: int = 4) -> DenseViT:
-    """With every parameter random, so that none can be left out unseen."""
+    """A network with random parameters, so that an omitted one is noticed."""
     torch.manual_seed(0)
     net = DenseViT(sizes, n_outputs).eval()
     with torch.no_grad():
@@ -35,7 +35,7 @@ def body(net: DenseViT) -> dict[str, Tensor]:
 
 
 def reference(state: dict[str, Tensor], sizes: Sizes, x: Tensor) -> Tensor:
-    """The transformer written down once more, patch by patch, with torch's own attention."""
+    """An independent implementation of the transformer, patch by patch, with torch's own attention."""
     width, patch = sizes.width, sizes.patch
     n_rows, n_columns = x.shape[-2] // patch, x.shape[-1] // patch
     kernel = state["patch_embed.proj.weight"].flatten(1)
@@ -44,7 +44,7 @@ def reference(state: dict[str, Tensor], sizes: Sizes, x: Tensor) -> Tensor:
         for column in range(n_columns):
             block = x[0, :, row * patch : (row + 1) * patch, column * patch : (column + 1) * patch]
             tokens.append(kernel @ block.flatten() + state["patch_embed.proj.bias"])
-    assert (n_rows * n_columns) == sizes.n_side**2, "positions as they are"
+    assert (n_rows * n_columns) == sizes.n_side**2, "positions are not interpolated"
     first, patches = state["cls_token"][0, 0], torch.stack(tokens)
     if sizes.n_positions > sizes.n_side**2:
         first, patches = first + state["pos_embed"][0, 0], patches + state["pos_embed"][0, 1:]
@@ -80,7 +80,7 @@ def reference(state: dict[str, Tensor], sizes: Sizes, x: Tensor) -> Tensor:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_features_are_those_of_the_transformer_written_down_once_more(kind):
+def test_features_equal_those_of_an_independent_implementation(kind):
     sizes = KINDS[kind]
     net, side = network(sizes), sizes.n_side * sizes.patch
     x = torch.randn(1, 3, side, side)
@@ -89,13 +89,13 @@ def test_features_are_those_of_the_transformer_written_down_once_more(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_sizes_are_read_off_the_weights(kind):
+def test_sizes_are_read_from_the_weights(kind):
     state = {**body(network(KINDS[kind])), "mask_token": torch.zeros(1, 64)}
     assert sizes_of(state) == KINDS[kind]
 
 
 @pytest.mark.parametrize("kind", ["dinov2", "with registers", "gated"])
-def test_weights_under_the_names_of_hugging_face_are_the_same_network(kind):
+def test_weights_with_the_names_of_hugging_face_give_the_same_network(kind):
     state = body(network(KINDS[kind]))
     theirs: dict[str, Tensor] = {"embeddings.mask_token": torch.zeros(1, 64)}
     for name, value in state.items():
@@ -119,7 +119,7 @@ def test_weights_under_the_names_of_hugging_face_are_the_same_network(kind):
         torch.testing.assert_close(found[name], value, atol=0, rtol=0)
 
 
-def test_registers_under_timms_name_are_known():
+def test_registers_with_timms_name_are_known():
     state = body(network(KINDS["with registers"]))
     state["reg_token"] = state.pop("register_tokens")
     assert sizes_of(renamed(state)).n_registers == 4
@@ -127,13 +127,13 @@ def test_registers_under_timms_name_are_known():
 
 @pytest.mark.parametrize(("size", "cells"), [((64, 96), (8, 12)), ((60, 90), (8, 12)), ((8, 8), (1, 1))])
 @pytest.mark.parametrize("kind", KINDS)
-def test_one_cell_stands_for_eight_by_eight_pixels(kind, size, cells):
+def test_one_cell_describes_eight_by_eight_pixels(kind, size, cells):
     assert cells_of(network(KINDS[kind]), size) == (1, 4, *cells)
 
 
 @pytest.mark.parametrize("kind", ["dinov2", "dino", "no position of the class token"])
 def test_a_patch_covers_the_block_of_its_cell(kind):
-    """Without attention a token knows of its own pixels alone: those must be its block's, and half of a neighbour."""
+    """Without attention a token depends on its block's pixels only and, by interpolation, their neighbours."""
     net = network(KINDS[kind])
     net.blocks = nn.ModuleList()
     net.head = nn.Conv2d(KINDS[kind].width, 1, 1)
@@ -146,7 +146,7 @@ def test_a_patch_covers_the_block_of_its_cell(kind):
     assert (columns.min(), columns.max()) == (40 - reach, 47 + reach)
 
 
-def test_a_network_without_a_sense_of_place_turns_along_with_an_image():
+def test_a_network_without_positions_is_equivariant_to_half_turns_of_the_image():
     net = network()
     with torch.no_grad():
         net.pos_embed.zero_()
@@ -158,8 +158,8 @@ def test_a_network_without_a_sense_of_place_turns_along_with_an_image():
 
 
 @pytest.mark.parametrize("kind", ["dinov2", "with registers"])
-def test_positions_between_learned_ones_keep_their_place(kind):
-    # Learned positions that rise evenly from left to right say where in the image a patch is, on whatever grid.
+def test_interpolated_positions_keep_their_place(kind):
+    # Learned positions that rise linearly from left to right give the place of a patch in the image on any grid.
     sizes = KINDS[kind]
     net = network(sizes)
     centres = (torch.arange(sizes.n_side) + 0.5) / sizes.n_side
@@ -169,7 +169,7 @@ def test_positions_between_learned_ones_keep_their_place(kind):
         for n_columns in (sizes.n_side, 3 * sizes.n_side):
             found = net.positions(4, n_columns)[0, :, 0].unflatten(0, (4, n_columns))
             expected = (torch.arange(n_columns) + 0.5) / n_columns
-            # At the edges there is nothing beyond to interpolate with.
+            # Positions beyond the edges cannot be interpolated.
             edge = n_columns // 4
             torch.testing.assert_close(found[1, edge:-edge], expected[edge:-edge], atol=0.03, rtol=0)
 
@@ -181,14 +181,17 @@ def test_positions_between_learned_ones_keep_their_place(kind):
             {"conv1.weight": torch.zeros(3)},
             "names such as conv1.weight, not patch_embed.proj.weight",
         ),
-        ({"pos_embed": torch.zeros(1, 19, 128)}, "19 positions, not those of a square of patches and a class token"),
+        (
+            {"pos_embed": torch.zeros(1, 19, 128)},
+            "19 position embeddings, not those of a square of patches and a class token",
+        ),
         (
             {"patch_embed.proj.weight": torch.zeros(96, 3, 8, 8)},
             "96 channels, not a multiple of 64",
         ),
     ],
 )
-def test_weights_of_something_else_are_refused(change, message):
+def test_weights_of_another_network_are_refused(change, message):
     state = change if "conv1.weight" in change else {**body(network()), **change}
     with pytest.raises(ValueError, match=message):
         sizes_of(state)

@@ -32,7 +32,7 @@ def test_a_file_of_classifier_weights_loads_without_its_classifier(tmp_path, suf
     torch.testing.assert_close(network.head.weight, head)
 
 
-def test_weights_in_half_precision_are_taken_over_in_full(tmp_path):
+def test_weights_in_half_precision_are_loaded_in_full(tmp_path):
     given = {name: value.half() if value.is_floating_point() else value for name, value in published().items()}
     network = DenseResNet(18, 16)
     load_weights(network, given, ignored=("fc.",))
@@ -40,7 +40,7 @@ def test_weights_in_half_precision_are_taken_over_in_full(tmp_path):
     torch.testing.assert_close(network.conv1.weight.half(), given["conv1.weight"])
 
 
-def test_a_head_that_is_given_is_taken_over():
+def test_a_head_in_the_weights_is_loaded():
     given = DenseResNet(18, 16).state_dict()
     network = DenseResNet(18, 16)
     load_weights(network, given)
@@ -48,7 +48,7 @@ def test_a_head_that_is_given_is_taken_over():
 
 
 @pytest.mark.parametrize("backbone", ["resnet18", "efficientnet-lite0-tuned"])
-def test_a_trained_network_is_gone_on_from_at_another_size(tmp_path, backbone):
+def test_training_can_start_from_a_trained_network_at_another_size(tmp_path, backbone):
     trained = DescriptorNetwork(NetworkSettings(backbone, 8, 64))
     with torch.no_grad():
         for parameter in trained.parameters():
@@ -88,12 +88,12 @@ def without(state: dict[str, torch.Tensor], start: str) -> dict[str, torch.Tenso
             r"layer1.0.conv1.weight: expected floating-point numbers, got int64",
         ),
         ({"blocks.0.weight": torch.zeros(3)}, r"names such as blocks.0.weight, not conv1.weight"),
-        (without(published(), "layer4"), r"layer4.0.conv1.weight is missing, one of 25"),
-        # A ResNet-34 begins as a ResNet-18 does.
-        (published(depth=34), r"layer1.2.conv1.weight is not known, one of 96"),
+        (without(published(), "layer4"), r"weights without layer4.0.conv1.weight \(25 tensors are missing\)"),
+        # A ResNet-34 has all tensors of a ResNet-18.
+        (published(depth=34), r"weights with layer1.2.conv1.weight \(96 tensors are unknown\)"),
     ],
 )
-def test_weights_of_another_network_are_refused_and_nothing_is_taken_over(state, message):
+def test_weights_of_another_network_are_refused_and_nothing_is_loaded(state, message):
     network = DenseResNet(18, 16)
     before = {name: value.clone() for name, value in network.state_dict().items()}
     with pytest.raises(ValueError, match=message):
@@ -102,13 +102,13 @@ def test_weights_of_another_network_are_refused_and_nothing_is_taken_over(state,
         assert torch.equal(value, before[name]), name
 
 
-def test_a_torch_file_with_code_in_it_is_not_run(tmp_path, capsys):
+def test_code_in_a_torch_file_is_not_executed(tmp_path, capsys):
     class Evil:
         def __reduce__(self):
             return (print, ("code ran",))
 
     torch.save({"conv1.weight": Evil()}, tmp_path / "evil.pth")
-    with pytest.raises(ValueError, match="a file that holds code, or something else than tensors; none of it was run"):
+    with pytest.raises(ValueError, match="a file that contains code or other objects; nothing in it was executed"):
         read_weights(tmp_path / "evil.pth")
     assert "code ran" not in capsys.readouterr().out
 
@@ -116,7 +116,7 @@ def test_a_torch_file_with_code_in_it_is_not_run(tmp_path, capsys):
 @pytest.mark.parametrize("suffix", [".pth", ".safetensors"])
 def test_a_broken_file_is_refused(tmp_path, suffix):
     (tmp_path / f"broken{suffix}").write_bytes(b"nothing")
-    with pytest.raises(ValueError, match=r"a file that (cannot be read: |holds code, or something else)"):
+    with pytest.raises(ValueError, match=r"a file that (cannot be read: |contains code or other objects)"):
         read_weights(tmp_path / f"broken{suffix}")
 
 
@@ -133,9 +133,9 @@ def test_a_torch_file_without_tensors_by_name_is_refused(tmp_path):
 
 
 def test_numbers_that_are_not_finite_are_refused_by_name(tmp_path):
-    torch.save({"a": torch.ones(2), "b": torch.tensor([1.0, float("nan")])}, tmp_path / "spoilt.pth")
-    with pytest.raises(ValueError, match="b has numbers that are not finite"):
-        read_weights(tmp_path / "spoilt.pth")
+    torch.save({"a": torch.ones(2), "b": torch.tensor([1.0, float("nan")])}, tmp_path / "not_finite.pth")
+    with pytest.raises(ValueError, match="b contains values that are not finite"):
+        read_weights(tmp_path / "not_finite.pth")
 
 
 def test_names_are_text(tmp_path):
