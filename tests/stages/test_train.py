@@ -457,7 +457,7 @@ def test_broken_or_foreign_weights_are_refused(dataset, tmp_path):
     state = DenseResNet(18, 8).state_dict()
     torch.save({name: value for name, value in state.items() if not name.startswith("layer4")}, tmp_path / "part.pth")
     outcome = made(dataset, weights=str(tmp_path / "part.pth"))
-    assert "expected weights of a resnet18, got weights without layer4.0.conv1.weight (25 tensors are missing)" in outcome.why
+    assert "expected weights of a resnet18, got weights without layer4.0.conv1.weight (25 tensors" in outcome.why
 
 
 def test_a_dataset_without_scenes_to_train_on_is_refused(tmp_path):
