@@ -154,7 +154,7 @@ def main(n_rounds: int = 3) -> None:
             rounds = [{n: seconds(command, root) for n, root in roots.items()} for _ in range(n_rounds)]
             median = {n: statistics.median(found[n] for found in rounds) for n in roots}
             ratio = statistics.median(found[MANY] / found[FEW] for found in rounds)
-            print(f"{name:<16}" + "".join(f"{median[n]:>10.1f}" for n in roots) + f"{ratio:>12.2f}")
+            print(f"{name:<16}" + "".join(f"{median[n]:>10.1f}" for n in roots) + f"{ratio:>12.2f}", flush=True)
 
 
 if __name__ == "__main__":
