@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bask_data.artifact import MANIFEST, Artifact
-from bask_data.dataset import Dataset
-from bask_data.engine import Config, Outcome, Stage, plan, run, state_told
-from bask_data.errors import BaskError, UsageError
+from bask_data.dataset import DATASET, Dataset
+from bask_data.errors import UsageError
 from bask_data.kinds import (
     Correspondences,
     Demonstration,
@@ -27,19 +26,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from bask_data.kinds.masks import CameraMasks
+    from bask_data.notebook.running import Outcomes, Standings
 
 A = TypeVar("A", bound=Artifact)
-
-
-class StatusRows(tuple[tuple[str, str, str], ...]):
-    """What is up to date: (task, state, why), one a line."""
-
-    def __repr__(self) -> str:
-        return "\n".join(f"{label:<32} {state}{': ' if why else ''}{why}" for label, state, why in self)
-
-    def _repr_html_(self) -> str:
-        rows = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in self)
-        return f"<table><tr><th>task</th><th>state</th><th>why</th></tr>{rows}</table>"
 
 
 class OpenDataset:
@@ -51,9 +40,25 @@ class OpenDataset:
         Raises:
             BadData: there is none.
         """
-        self._dataset = Dataset(root)
-        self.root = self._dataset.root
+        # A notebook may change its working directory, and nobody expands `~` for it.
+        self.root = Path(root).expanduser().absolute()
         """Its directory."""
+        # The stamp first: what is written between the two is then read again.
+        self._stamp = self._stamp_of_file()
+        self._read = Dataset(self.root)
+
+    @property
+    def _dataset(self) -> Dataset:
+        """As it is: a command beside the notebook may have changed what it lists."""
+        stamp = self._stamp_of_file()
+        if stamp != self._stamp:
+            self._read, self._stamp = Dataset(self.root), stamp
+        return self._read
+
+    def _stamp_of_file(self) -> tuple[int, ...]:
+        file = self.root / DATASET
+        found = file.stat() if file.exists() else None
+        return (found.st_ino, found.st_size, found.st_mtime_ns) if found else ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         return OpenDataset, (self.root,)
@@ -139,41 +144,39 @@ class OpenDataset:
 
     def run(
         self, stage: str, only: str | Sequence[str] = (), variant: str = "main", force: bool = False, **params: Any
-    ) -> list[Outcome]:
-        """Make what one stage has to make, as `bask-data STAGE` does, with the dataset's own params.yaml.
+    ) -> Outcomes:
+        """Make what one stage has to make, as `bask-data STAGE` does, and show how it goes on stderr.
+
+        A parameter that is not given is as the dataset has it, in its params.yaml or from an earlier request. What is
+        given is recorded with the dataset.
 
         Args:
             only: names of scenes or demonstrations; by default all.
+            variant: name of the result, where there are to be several.
             force: make again what is up to date.
-            params: the stage's, by name.
+            params: the stage's, by name; and `descriptor="big"`, say, for the variant of an input.
 
         Raises:
             UsageError: there is no such stage, item or parameter, or an input is missing.
-            BaskError: what made the first task fail.
+            BaskError: what the first task that failed raised, after the others.
         """
-        chosen = self._stage(stage)
-        names = (only,) if isinstance(only, str) else tuple(only)
-        config = {section: fields for section, fields in self._config().items() if section.split("@")[0] == stage}
-        tasks = plan(self._dataset, chosen, config=config, options=params, only=names, variant=variant)
-        outcomes = list(run(tasks, force=force))
-        for outcome in outcomes:
-            if outcome.status == "failed":
-                raise outcome.error or BaskError(outcome.path, expected="to be made", got=outcome.why)
-            if outcome.status == "blocked":
-                raise UsageError(self.root, outcome.label, expected="its inputs", got=outcome.why)
-        return outcomes
+        from bask_data.notebook.running import made
 
-    def status(self) -> StatusRows:
-        """What is up to date, missing, stale or blocked, and why."""
-        from bask_data.pipeline import STAGES
+        return made(self._dataset, stage, only, variant, force, params)
 
-        config, rows = self._config(), []
-        for stage in STAGES:
-            own = {section: fields for section, fields in config.items() if section.split("@")[0] == stage.name}
-            for task in plan(self._dataset, stage, config=own):
-                state = state_told(task)
-                rows.append((task.label, state.status, state.why))
-        return StatusRows(rows)
+    def status(self, stages: str | Sequence[str] = (), only: str | Sequence[str] = ()) -> Standings:
+        """What is up to date, missing, stale or blocked, and why.
+
+        Args:
+            stages: names; by default all.
+            only: names of scenes or demonstrations; by default all.
+
+        Raises:
+            UsageError: there is no such stage or item.
+        """
+        from bask_data.notebook.running import standings_of
+
+        return standings_of(self._dataset, stages, only)
 
     def __repr__(self) -> str:
         inside = ", ".join(repr(table)[1:-1] for table in (self.scans, self.demonstrations) if table)
@@ -182,20 +185,6 @@ class OpenDataset:
     def _repr_html_(self) -> str:
         shown = "".join(table._repr_html_() for table in (self.scans, self.demonstrations) if table)
         return f"<p><b>{escape(repr(self))}</b></p>{shown}"
-
-    def _stage(self, name: str) -> Stage:
-        from bask_data.pipeline import STAGES
-
-        found = {stage.name: stage for stage in STAGES}
-        self._check("stage", name, found)
-        return found[name]
-
-    def _config(self) -> Config:
-        from bask_data.config import load_config
-        from bask_data.pipeline import STAGES
-
-        own = self.root / "params.yaml"
-        return load_config(own if own.exists() else None, (), STAGES)
 
     def _artifact(self, kind: type[A], item: str, variant: str = "main") -> A:
         from bask_data.pipeline import STAGES
