@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, SupportsIndex, overload
 
-from bask_data.errors import UsageError
+from bask_data.errors import BaskError, UsageError
 from bask_data.kinds import Camera, Demonstration, Robot, Scan
 from bask_data.notebook.html import picture_html
 from bask_data.spelling import suggestion
@@ -161,7 +161,7 @@ class RecordedFrames(Sequence[RecordedFrame]):
         try:
             i_frame = operator.index(i)
         except TypeError:
-            fix = f'.camera("{i}") gives the frames of a camera.' if i in self.cameras else ""
+            fix = f'.camera("{i}") gives the frames of a camera.' if str(i) in self.cameras else ""
             got = f"{type(i).__name__} {i!r}"
             message = str(UsageError(self.name, "frame", expected="a whole number or a slice", got=got, fix=fix))
             raise TypeError(message) from None
@@ -210,6 +210,12 @@ class RecordingTable(Mapping[str, RecordedFrames]):
         return f"<{len(self)} {self._what}{'' if len(self) == 1 else 's'}: {names}>"
 
     def _repr_html_(self) -> str:
-        shown = "".join(f"<p>{self[name]._repr_html_()}</p>" for name in self._names[:MOST_SHOWN])
+        shown = "".join(f"<p>{self._shown(name)}</p>" for name in self._names[:MOST_SHOWN])
         others = ", ".join(self._names[MOST_SHOWN:])
         return f"<p><b>{escape(repr(self))}</b></p>{shown}" + (f"<p>and {escape(others)}</p>" if others else "")
+
+    def _shown(self, name: str) -> str:
+        try:
+            return self[name]._repr_html_()
+        except BaskError as error:  # One that is damaged, or not there, leaves the others to be seen.
+            return escape(str(error))

@@ -3,6 +3,7 @@ from __future__ import annotations
 import base64
 import pickle
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -18,7 +19,7 @@ from bask_data.dataset import Dataset
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Demonstration, KeypointTrack, Scan
 from bask_data.notebook.opened import OpenDataset
-from tests.datasets import publish_artifact, publish_recording
+from tests.datasets import add_scan, publish_artifact, publish_recording
 from tests.scenes import intrinsics, orbit, tabletop
 from tests.tiny import HEIGHT, PARAMS, WIDTH
 
@@ -187,6 +188,15 @@ def test_everything_says_what_is_inside(ds: OpenDataset) -> None:
         np.abs(one.astype(int) - ds.scans["table1"][0].rgb).mean() for one in (picture, picture[..., ::-1])
     )
     assert away < 10 and away < 0.7 * swapped  # JPEG does not keep noise.
+
+
+def test_a_recording_that_is_not_there_leaves_the_others_to_be_seen(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    for name in ("table1", "table2"):
+        add_scan(dataset, name)
+    shutil.rmtree(dataset.path(Scan, "table1"))
+    html = bask.open(dataset.root)._repr_html_()
+    assert "scan/table1: expected scan, got none.  fix: ingest it again." in html and html.count("<img") == 2
 
 
 def test_a_notebook_completes_names(ds: OpenDataset) -> None:
