@@ -1,4 +1,4 @@
-"""Choosing reference keypoints by hand, on a page in a browser; the `reference` stage makes the artifact of them."""
+"""Picking reference keypoints in a browser; the `reference` stage makes the artifact from them."""
 
 from __future__ import annotations
 
@@ -26,13 +26,14 @@ __all__ = ["Picking", "pick_keypoints"]
 
 @dataclass
 class Picking:
-    """What is picked for: a variant of the reference keypoints, and where its parameters are written.
+    """The variant of the reference keypoints that is picked, and where its parameters are written.
 
     Args:
-        planned: the stage's task with these parameters in place of its own.
-        parameters: YAML file; it keeps the picks, so that `status` and `run` know them.
-        inputs: variants of inputs, as `dataset.json` will keep them.
-        following: the command that comes after.
+        planned: returns the stage's task with the given parameters replaced.
+        parameters: YAML file that records the picks for `status` and `run`.
+        inputs: variants of the inputs, as recorded in `dataset.json`.
+        following: the command to run next.
+        outcomes: result of the last save; empty if nothing was saved.
     """
 
     dataset: Dataset
@@ -46,17 +47,19 @@ class Picking:
 def pick_keypoints(
     picking: Picking, *, say: Callable[[str], None], opened: Callable[[str], None], port: int = 0
 ) -> list[Outcome]:
-    """Serve the page until it is closed; Ctrl-C closes it too once something was saved.
+    """Serve the page until it is closed, or interrupted after a save.
 
     Args:
-        say: told what a person should know.
-        opened: told the link.
+        say: receives notes for the user.
+        opened: receives the page's URL.
 
     Returns:
-        what became of the last saving; empty if nothing was saved.
+        outcome of the last save; empty if nothing was saved.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C, and nothing was saved.
+        KeyboardInterrupt: interrupted before anything was saved.
+        UsageError: another page is open for this variant, or the dataset has no recordings.
+        BadData: the descriptor network is missing, or the draft is damaged.
     """
     task = picking.planned({})
     file = picking.dataset.root / SCRATCH / f"picks~{task.variant}.json"
@@ -70,8 +73,10 @@ def pick_keypoints(
                 if not picking.outcomes:
                     raise
     except Timeout:
-        fix = "use the page that is open, or end its command."
-        raise UsageError("--pick", task.variant, expected="one page at a time", got="another", fix=fix) from None
+        fix = "use the page that is open, or stop its command."
+        raise UsageError(
+            "--pick", task.variant, expected="no other page for this variant", got="one that is open", fix=fix
+        ) from None
     return picking.outcomes
 
 
@@ -86,7 +91,7 @@ def _desk(picking: Picking, task: Task, file: Path, say: Callable[[str], None]) 
         wanted = params.model_copy(update={"n": n, "instances": () if scene != params.scene else params.instances})
         masks = dataset.path(VisibleMasks, scene)
         if scene not in dataset.items("scene") or not masks.exists():
-            expected, fix = "a scan whose objects are known", "choose another, or `bask-data run` first."
+            expected, fix = "a scan with masks of its objects", "choose another, or run `bask-data run` first."
             raise UsageError("propose", "scene", expected=expected, got=scene, fix=fix)
         picks, _ = chosen(wanted, scene, Scan(dataset.path(Scan, scene)), VisibleMasks(masks), network)
         return [KeypointMark(**pick.model_dump(include=set(KeypointMark.model_fields))) for pick in picks]
@@ -99,7 +104,7 @@ def _desk(picking: Picking, task: Task, file: Path, say: Callable[[str], None]) 
     gallery = Gallery(recordings, network)
     draft = Draft(file, _given(params, recordings))
     if not draft.is_new:
-        say(f"going on with {len(draft.marks)} unsaved keypoints of last time")
+        say(f"restored {len(draft.marks)} unsaved keypoints")
     elif params.auto:
         draft.add(propose(params.scene or _first_scene(dataset), params.n))
     title = " · ".join(part for part in (dataset.file.name, "" if task.variant == "main" else task.variant) if part)
@@ -107,17 +112,17 @@ def _desk(picking: Picking, task: Task, file: Path, say: Callable[[str], None]) 
 
 
 def _recordings(dataset: Dataset) -> dict[str, Recording]:
-    """Scans and demonstrations that are there, by name."""
-    found: dict[str, Recording] = {}
+    """Existing scans and demonstrations, by name; `UsageError` if there are none."""
+    recordings: dict[str, Recording] = {}
     for kind, scope in ((Scan, "scene"), (Demonstration, "demonstration")):
         for name in dataset.items(scope):
             if dataset.path(kind, name).exists():
-                found[name] = kind(dataset.path(kind, name))
-                found[name].check_complete()
-    if not found:
+                recordings[name] = kind(dataset.path(kind, name))
+                recordings[name].check_complete()
+    if not recordings:
         fix = "bask-data ingest --help"
         raise UsageError(dataset.root, "", expected="a recording", got="none in the dataset", fix=fix)
-    return found
+    return recordings
 
 
 def _network_of(task: Task) -> Any:
@@ -130,16 +135,16 @@ def _network_of(task: Task) -> Any:
 
 
 def _first_scene(dataset: Dataset) -> str:
-    """The first scan in which objects were found."""
+    """Name of the first scan with instances; `UsageError` if there is none."""
     for name in dataset.items("scene"):
         path = dataset.path(VisibleMasks, name)
         if path.exists() and VisibleMasks(path).n_instances:
             return name
-    raise UsageError("--auto", "", expected="a scan whose objects are known", got="none", fix="bask-data run first.")
+    raise UsageError("--auto", "", expected="a scan with masks of its objects", got="none", fix="bask-data run first.")
 
 
 def _given(params: ReferenceParams, recordings: dict[str, Recording]) -> list[KeypointMark]:
-    """The picks of the parameters: where one goes on from."""
+    """The picks in the parameters, with which a new draft starts; none for automatic keypoints."""
     if params.auto:
         return []
     picks = [parsed(text, f"point_{i}", recordings)[0] for i, text in enumerate(params.picks)]
@@ -147,10 +152,10 @@ def _given(params: ReferenceParams, recordings: dict[str, Recording]) -> list[Ke
 
 
 def _saved(picking: Picking, picks: list[str]) -> Outcome:
-    """The artifact of these picks, made by its stage, and the parameters that make it again."""
+    """Record the picks as parameters and make the artifact from them."""
     values = {"picks": picks, "auto": False}
     task = picking.planned(values)
-    # The parameters first: were they refused when the artifact is there, it could not be made again.
+    # Parameters come first: an artifact whose parameters could not be written would be stale at once.
     with section_written(picking.parameters, f"{task.stage.name}@{task.variant}", values):
         outcome = make(task)
         if outcome.status not in ("made", "up to date"):

@@ -1,4 +1,4 @@
-"""What the page can do: look at frames, work on the draft, save it. Requests are checked, answers are plain data."""
+"""Operations of the page: show frames, edit the draft, save it. Requests are validated; answers are plain data."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 
 class Desk:
-    """The dataset's frames, the draft, and the ways to propose and to save keypoints.
+    """The dataset's frames, the draft, and how keypoints are proposed and saved.
 
     Args:
-        propose: gives keypoints chosen automatically in a scene.
-        save: makes the artifact of the marks; gives a line about it, and the next command.
-        title: of the page.
+        propose: returns n automatic keypoints of a scene.
+        save: makes the artifact from the marks; returns a line about it, and the next command.
+        title: title of the page.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Desk:
         self._descriptors: dict[KeypointMark, torch.Tensor] = {}
 
     def start(self, request: EmptyRequest) -> dict[str, Any]:
-        """What a page needs that has just been opened."""
+        """Initial data of a page: title, recordings, running job and draft."""
         return {
             "title": self.title,
             "recordings": self.gallery.listed(),
@@ -60,7 +60,7 @@ class Desk:
         }
 
     def state(self) -> dict[str, Any]:
-        """The draft."""
+        """The draft: its marks, whether a step can be undone or redone, and whether it is saved."""
         draft = self.draft
         return {
             "marks": [mark.model_dump() for mark in draft.marks],
@@ -70,7 +70,7 @@ class Desk:
         }
 
     def edit(self, request: EditRequest) -> dict[str, Any]:
-        """Work on the draft, one request at a time."""
+        """Apply one step to the draft; concurrent requests wait."""
         with self._editing:
             if request.do in ("add", "move"):
                 self._place(request)
@@ -100,67 +100,63 @@ class Desk:
             self.draft.move(request.name, u, v)
 
     def describe(self, request: FrameRequest) -> dict[str, Any]:
-        """Make a frame ready to be searched."""
+        """Compute a frame's descriptors, so that it can be searched."""
         self.gallery.describe(request.frame)
         return {"described": True}
 
     def picture(self, request: FrameRequest) -> bytes:
-        """A frame as JPEG."""
+        """A frame's colour image as JPEG."""
         return self.gallery.picture(request.frame)
 
     def heat(self, request: HeatRequest) -> bytes:
-        """Heat maps of a pixel in those of the frames that are described already.
+        """Distance maps of a pixel's descriptor, for the requested frames whose descriptors are computed.
 
         Returns:
-            the length of a JSON text as uint32, little-endian; the text; one byte a pixel for each map, row by row. A
-            byte b stands for the distance `scale` (b / 255)^2: near zero, where it matters, steps are small.
+            the length of a JSON header as little-endian uint32; the header; then each map row by row, one byte per
+            pixel. A byte b stands for the distance `scale` (b / 255)^2, so that small distances have small steps.
         """
         import numpy as np
 
         at = request.at
         descriptor = self.gallery.descriptor_at(at.frame, at.u, at.v)
-        # A frame may be request for twice, as two views may show it.
+        # Two views may show the same frame.
         ready = dict.fromkeys(frame for frame in request.frames if self.gallery.is_described(frame))
-        found = {frame: self.gallery.find(descriptor, frame) for frame in ready}
-        scale = max((float(one.z.max()) for one in found.values()), default=0.0) or 1.0
+        searched = {frame: self.gallery.find(descriptor, frame) for frame in ready}
+        scale = max((float(result.z.max()) for result in searched.values()), default=0.0) or 1.0
         places = self.gallery.same_place(at.frame, at.u, at.v, request.frames)
-        # What most pixels are like is not what is looked for: it sets the colours' range. A few of them tell.
-        few = [one.z.ravel()[:: max(one.z.size // 1000, 1)] for one in found.values()]
-        middle = float(np.median(np.concatenate(few))) if few else scale
-        header = {
-            "scale": scale,
-            "middle": middle or scale,
-            "maps": [
-                {"size": found[frame].z.shape, "best": found[frame].best, "z": found[frame].z_best, "place": place}
-                if frame in found
-                else None
-                for frame, place in zip(request.frames, places, strict=True)
-            ],
-        }
-        text = json.dumps(header).encode()
-        maps = [found[frame].z for frame in request.frames if frame in found]
-        codes = [np.rint(255 * np.sqrt(z / scale)).astype(np.uint8).tobytes() for z in maps]
+        # The median distance, estimated from a sample, sets the range of the colours: most pixels are no match.
+        samples = [result.z.ravel()[:: max(result.z.size // 1000, 1)] for result in searched.values()]
+        middle = float(np.median(np.concatenate(samples))) if samples else scale
+        maps = [
+            {"size": searched[frame].z.shape, "best": searched[frame].best, "z": searched[frame].z_best, "place": place}
+            if frame in searched
+            else None
+            for frame, place in zip(request.frames, places, strict=True)
+        ]
+        text = json.dumps({"scale": scale, "middle": middle or scale, "maps": maps}).encode()
+        distances = [searched[frame].z for frame in request.frames if frame in searched]
+        codes = [np.rint(255 * np.sqrt(z / scale)).astype(np.uint8).tobytes() for z in distances]
         return b"".join([struct.pack("<I", len(text)), text, *codes])
 
     def matches(self, request: MatchesRequest) -> dict[str, Any]:
-        """Where each keypoint is found in those of the frames that are described already, and how far off."""
+        """Best match (u, v, distance) of each keypoint in each requested frame; None without descriptors."""
         marks = self.draft.marks
         self._descriptors = {mark: self._descriptor(mark) for mark in marks}
-        found: list[list[list[float]] | None] = []
+        matches: list[list[list[float]] | None] = []
         for frame in request.frames:
             if self.gallery.is_described(frame):
-                best = [self.gallery.find(self._descriptors[mark], frame) for mark in marks]
-                found.append([[*one.best, one.z_best] for one in best])
+                results = [self.gallery.find(self._descriptors[mark], frame) for mark in marks]
+                matches.append([[*result.best, result.z_best] for result in results])
             else:
-                found.append(None)
-        return {"names": [mark.name for mark in marks], "frames": found}
+                matches.append(None)
+        return {"names": [mark.name for mark in marks], "frames": matches}
 
     def _descriptor(self, mark: KeypointMark) -> torch.Tensor:
         known = self._descriptors.get(mark)
         return self.gallery.descriptor_at(frame_of(mark), mark.u, mark.v) if known is None else known
 
     def propose(self, request: ProposalRequest) -> dict[str, Any]:
-        """Add keypoints chosen automatically, as one step; none if it is cancelled meanwhile."""
+        """Add automatic keypoints as one step; none if the job is cancelled."""
         try:
             with self.jobs.running("propose", can_cancel=True):
                 proposed = self._propose(request.scene, request.n)
@@ -171,25 +167,25 @@ class Desk:
             return {"is_cancelled": False, **self.state()}
 
     def save(self, request: EmptyRequest) -> dict[str, Any]:
-        """Make the artifact of the draft's keypoints."""
+        """Make the artifact from the draft; `UsageError` without keypoints."""
         with self.jobs.running("save", can_cancel=False), self._editing:
             marks = self.draft.marks
             if not marks:
                 raise UsageError("save", "", expected="a keypoint", got="none", fix="click on one first.")
-            told, following = self._save(marks)
+            summary, following = self._save(marks)
             self._saved = marks
-            return {"told": told, "next": following, **self.state()}
+            return {"summary": summary, "next": following, **self.state()}
 
     def progress(self, request: EmptyRequest) -> dict[str, Any]:
-        """How far the job is that runs."""
+        """State of the running job."""
         return {"job": self.jobs.state()}
 
     def cancel(self, request: EmptyRequest) -> dict[str, Any]:
-        """End the job that runs, if it can be cancelled."""
+        """Cancel the running job, if it allows it."""
         self.jobs.cancel()
         return self.progress(request)
 
 
 def frame_of(mark: KeypointMark) -> FrameName:
-    """The frame a keypoint was marked in."""
+    """The frame in which a keypoint was picked."""
     return FrameName(mark.recording, mark.camera, mark.frame)

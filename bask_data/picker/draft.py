@@ -1,4 +1,4 @@
-"""Unfinished work: the marks of keypoints, what was done to them, and the file that keeps both."""
+"""The unsaved keypoints, their history of edits, and the file that stores both."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from bask_data.errors import BadData, UsageError
 from bask_data.params import first_fault
 
 MOST_MARKS = 256
-"""Keypoints of a draft. Sixteen are usual (von Hartz et al. 2023), and the list stays quick with some hundreds."""
+"""Most keypoints of a draft. Sixteen are usual (von Hartz et al. 2023); the list stays responsive with hundreds."""
 
 MOST_STEPS = 200
-"""Steps that can be undone. Each keeps all keypoints in a file that every step writes: 0.54 MB with 16 keypoints, which
-takes 0.1 s on a busy machine. The time grows with the number; nothing else depends on it."""
+"""Most steps that can be undone. Each holds all keypoints in a file written at every step: 0.54 MB with 16 keypoints,
+0.1 s on a busy machine. The time is proportional to the number; nothing else depends on it."""
 
 _NAME = re.compile(r"[\w.-][\w. -]{0,39}")
-"""No colon and no comma: these separate picks and their parts on the command line."""
+"""Valid names of keypoints. Colons and commas separate picks and their parts on the command line."""
 
 
 class KeypointMark(BaseModel):
-    """A keypoint to be: a pixel of a frame. Integers of u and v are pixel centres."""
+    """A keypoint of the draft: a pixel (u, v) of a frame; integers are pixel centres."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -40,7 +40,7 @@ Marks = tuple[KeypointMark, ...]
 
 
 class _File(BaseModel):
-    """What is kept: the marks, and those before each step that can be undone or done again."""
+    """Content of the file: the marks, and their earlier and undone states."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -50,10 +50,10 @@ class _File(BaseModel):
 
 
 class Draft:
-    """Marks that are worked on. Every change is on disk before it is answered, and can be undone."""
+    """Marks being edited. Every change is written to disk before the method returns, and can be undone."""
 
     def __init__(self, file: Path, start: Sequence[KeypointMark] = ()) -> None:
-        """Go on from the file, or begin with `start` where there is none.
+        """Load the file, or begin with `start` if it does not exist.
 
         Raises:
             BadData: the file is damaged.
@@ -63,13 +63,13 @@ class Draft:
         try:
             self._kept = _File(marks=tuple(start)) if self.is_new else _File.model_validate_json(file.read_bytes())
         except ValidationError as error:
-            field, expected, came = fault_in_json(error)
-            fix = "delete it: it holds unfinished picks only."
-            raise BadData(file, field, expected=expected, got=came, fix=fix) from error
+            field, expected, got = fault_in_json(error)
+            fix = "delete it; it holds only unsaved picks."
+            raise BadData(file, field, expected=expected, got=got, fix=fix) from error
 
     @property
     def marks(self) -> Marks:
-        """In the order they were made."""
+        """The marks, in the order in which they were added."""
         return self._kept.marks
 
     @property
@@ -79,14 +79,14 @@ class Draft:
 
     @property
     def can_redo(self) -> bool:
-        """Whether the last thing done was to undo a step."""
+        """Whether there is an undone step to redo."""
         return bool(self._kept.redo)
 
     def add(self, marks: Sequence[KeypointMark]) -> None:
-        """Add marks, as one step; those whose name is empty or taken get another.
+        """Add marks as one step; an empty or taken name is replaced by a free one.
 
         Raises:
-            UsageError: there would be too many.
+            UsageError: more than `MOST_MARKS` keypoints, or an invalid name.
         """
         added = list(self.marks)
         for mark in marks:
@@ -100,43 +100,43 @@ class Draft:
         self._replace(name, lambda mark: mark.model_copy(update={"u": u, "v": v}))
 
     def rename(self, name: str, new: str) -> None:
-        """Give a mark another name.
+        """Rename a mark.
 
         Raises:
-            UsageError: the name is taken, or could not stand in a parameter.
+            UsageError: the name is taken or invalid.
         """
         new = checked_name(new)
         if new != name and any(mark.name == new for mark in self.marks):
-            raise UsageError("name", "", expected="one that no other keypoint has", got=new)
+            raise UsageError("name", "", expected="a name that no other keypoint has", got=new)
         self._replace(name, lambda mark: mark.model_copy(update={"name": new}))
 
     def delete(self, names: Sequence[str]) -> None:
-        """Take marks away, as one step."""
+        """Delete marks as one step."""
         for name in names:
             self.find(name)
         self._do(tuple(mark for mark in self.marks if mark.name not in names))
 
     def find(self, name: str) -> KeypointMark:
-        """The mark of a name; `UsageError` without one."""
+        """The mark with a name; `UsageError` if there is none."""
         for mark in self.marks:
             if mark.name == name:
                 return mark
-        raise UsageError("name", "", expected="that of a keypoint", got=name)
+        raise UsageError("name", "", expected="the name of a keypoint", got=name)
 
     def undo(self) -> None:
-        """Take the last step back; nothing if there is none."""
+        """Undo the last step, if any."""
         if self.can_undo:
             *undo, last = self._kept.undo
             self._keep(_File(marks=last, undo=undo, redo=[*self._kept.redo, self.marks]))
 
     def redo(self) -> None:
-        """Do again what was undone last; nothing if there is nothing."""
+        """Redo the step undone last, if any."""
         if self.can_redo:
             *redo, last = self._kept.redo
             self._keep(_File(marks=last, undo=[*self._kept.undo, self.marks], redo=redo))
 
     def drop(self) -> None:
-        """Forget the file: what it held is saved."""
+        """Delete the file, after its marks have been saved."""
         self._file.unlink(missing_ok=True)
 
     def _replace(self, name: str, change: Callable[[KeypointMark], KeypointMark]) -> None:
@@ -153,13 +153,13 @@ class Draft:
 
 
 def fault_in_json(error: ValidationError) -> tuple[str, str, str]:
-    """`first_fault`, also of a text that is no JSON at all, of which it says too much."""
+    """`first_fault` with a shorter text for input that is not JSON: field, expected, got."""
     fault = error.errors()[0]
     return ("", "JSON", fault["ctx"]["error"]) if fault["type"] == "json_invalid" else first_fault(error)
 
 
 def checked_name(name: str) -> str:
-    """The name without spaces around it; `UsageError` if it could not stand in a parameter."""
+    """The name without surrounding spaces; `UsageError` if it is invalid."""
     name = name.strip()
     if not _NAME.fullmatch(name):
         expected = "letters, digits, spaces, '_', '.' and '-', at most 40"
@@ -168,7 +168,7 @@ def checked_name(name: str) -> str:
 
 
 def _free(name: str, taken: set[str]) -> str:
-    """The name, or else the first free one made of it and a number."""
+    """The name if it is free, or else the name with the first free number."""
     if name and name not in taken:
         return checked_name(name)
     stem, n = (f"{name}_", 2) if name else ("point_", 1)

@@ -1,4 +1,4 @@
-"""The frames of a dataset as the page shows them: pictures, and where a descriptor is found in them."""
+"""Frames of a dataset for the page: images, descriptors, and the best match of a descriptor."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from bask_data.nn.network import DescriptorNetwork
 
 MOST_DESCRIPTOR_BYTES = 512 * 2**20
-"""Bytes of descriptors kept in memory: of 256x256 images with 32 dimensions more than a thousand frames. A page shows
-seven at a time, so that a tenth would do; frames that were dropped take the network's time again."""
+"""Bytes of descriptors cached in memory: more than a thousand frames of 256x256 pixels and 32 dimensions. A page shows
+at most nine, so a tenth would do; a frame that was dropped takes another forward pass."""
 
 MOST_PIXELS = 128 * 128
-"""Pixels of a heat map. Descriptors are smooth over eight pixels of what the network sees, so more would show nothing
-more, and take longer to arrive and to draw."""
+"""Most pixels of a distance map sent to the page. Descriptors are smooth over eight pixels of the network's input, so
+more pixels would show no more detail and take longer to send and draw."""
 
 SAME_POINT_DEPTH = 0.02
-"""Metres by which a measured depth may differ from a point's depth and still show the point."""
+"""Largest difference, metres, between a measured depth and a point's depth at which the point counts as visible."""
 
 
 class FrameName(NamedTuple):
@@ -40,10 +40,15 @@ class FrameName(NamedTuple):
 
 @dataclass(frozen=True)
 class FrameDescriptors:
-    """A frame's descriptors at stride 8, and what distances need of them at every pixel.
+    """A frame's descriptors at stride 8, and their squared lengths at every pixel.
 
-    The product of descriptors with a reference can be up-sampled after it is taken, their squared lengths cannot: kept
-    so, a frame takes little more than its cells, and a distance map a product with the cells only.
+    Up-sampling commutes with the product of descriptors and a reference, but not with squared lengths. Storing these
+    takes little more memory than the cells, and a distance map then needs a product with the cells only.
+
+    Args:
+        cells: (d, h / 8, w / 8) descriptors minus `origin`.
+        squares: (h, w) squared lengths of the up-sampled `cells`.
+        origin: (d,) mean descriptor of the frame.
     """
 
     cells: torch.Tensor
@@ -55,7 +60,7 @@ class FrameDescriptors:
         return 4 * (self.cells.numel() + self.squares.numel() + self.origin.numel())
 
     def distances(self, reference: torch.Tensor) -> torch.Tensor:
-        """Distance z of every pixel (h, w) to a reference descriptor (d,)."""
+        """Distance z (h, w) of every pixel to a reference descriptor (d,)."""
         from bask_data.nn.resnet import upsampled
 
         centred = reference - self.origin
@@ -67,12 +72,12 @@ class FrameDescriptors:
 
 @dataclass(frozen=True)
 class HeatMap:
-    """Where a descriptor is found in a frame.
+    """The distance map of a descriptor in a frame, and its best match.
 
     Args:
-        z: distance of every pixel (h, w) float32; spans the image, edge to edge.
-        best: (u, v) of the least distance, pixels of the frame's image.
-        z_best: the distance there.
+        z: (h, w) float32 descriptor distance; it spans the image from edge to edge.
+        best: (u, v) of the smallest distance, pixels of the frame's image.
+        z_best: smallest distance.
     """
 
     z: np.ndarray
@@ -81,30 +86,34 @@ class HeatMap:
 
 
 class Gallery:
-    """The recordings and their frames; descriptors are computed when first asked for."""
+    """Recordings and their frames; descriptors are computed on demand and cached.
+
+    Args:
+        most_bytes: size of the cache; the least recently used frames are dropped.
+    """
 
     def __init__(
         self, recordings: Mapping[str, Recording], network: DescriptorNetwork, most_bytes: int = MOST_DESCRIPTOR_BYTES
     ) -> None:
         self.recordings = recordings
-        self._cameras = {name: {one.name: one for one in recording.cameras} for name, recording in recordings.items()}
+        self._cameras = {name: {camera.name: camera for camera in known.cameras} for name, known in recordings.items()}
         self._network = network
         self._most_bytes = most_bytes
         self._described: OrderedDict[FrameName, FrameDescriptors] = OrderedDict()
-        # A pixel that is hovered over asks for depth many times a second, and always of the few frames on the page.
+        # Hovering reads depth many times a second, always of the few frames on the page.
         self._depth = lru_cache(maxsize=32)(lambda frame: self.camera(frame).depth(frame.frame))
         self._using_network = threading.Lock()
         self._keeping = threading.Lock()
 
     def listed(self) -> list[dict[str, Any]]:
-        """Recordings, their cameras, number and size of their frames."""
+        """Recordings with their cameras, numbers of frames and image sizes in pixels."""
         return [
             {
                 "name": name,
                 "scope": self.recordings[name].scope,
                 "cameras": [
-                    {"name": one.name, "n_frames": one.n_frames, "width": one.width, "height": one.height}
-                    for one in cameras.values()
+                    {"name": camera.name, "n_frames": camera.n_frames, "width": camera.width, "height": camera.height}
+                    for camera in cameras.values()
                 ],
             }
             for name, cameras in self._cameras.items()
@@ -118,14 +127,14 @@ class Gallery:
         return camera
 
     def check_pixel(self, frame: FrameName, u: float, v: float) -> None:
-        """Refuse what is outside of the frame's image; `UsageError`."""
+        """Raise `UsageError` if a pixel is outside the frame's image."""
         camera = self.camera(frame)
         if not (-0.5 <= u < camera.width - 0.5 and -0.5 <= v < camera.height - 0.5):
             size = f"u 0..{camera.width - 1}, v 0..{camera.height - 1}"
             raise UsageError("pixel", "", expected=size, got=f"{u:g}, {v:g}")
 
     def picture(self, frame: FrameName) -> bytes:
-        """The frame as JPEG."""
+        """The frame's colour image as JPEG."""
         import cv2
 
         rgb = self.camera(frame).rgb(frame.frame)
@@ -134,21 +143,21 @@ class Gallery:
         return data.tobytes()
 
     def is_described(self, frame: FrameName) -> bool:
-        """Whether its descriptors are in memory."""
+        """Whether the frame's descriptors are in memory."""
         return frame in self._described
 
     def describe(self, frame: FrameName) -> FrameDescriptors:
-        """The frame's descriptors, computed where they are not in memory."""
+        """The frame's descriptors, computed if they are not in memory."""
         camera = self.camera(frame)
-        found = self._recent(frame)
-        if found is None:
+        described = self._recent(frame)
+        if described is None:
             with self._using_network:
-                found = self._recent(frame) or self._computed(camera, frame.frame)
-            self._keep(frame, found)
-        return found
+                described = self._recent(frame) or self._computed(camera, frame.frame)
+            self._keep(frame, described)
+        return described
 
     def descriptor_at(self, frame: FrameName, u: float, v: float) -> torch.Tensor:
-        """The descriptor (d,) of a pixel of the frame's image, as reference keypoints get it."""
+        """The descriptor (d,) at a pixel of the frame's image, interpolated as for reference keypoints."""
         import numpy as np
         import torch
 
@@ -164,7 +173,7 @@ class Gallery:
             return sampled(described.cells[None], where)[0, 0] + described.origin
 
     def find(self, descriptor: torch.Tensor, frame: FrameName) -> HeatMap:
-        """Where a descriptor is found in a frame."""
+        """Distance map and best match of a descriptor (d,) in a frame."""
         import numpy as np
         import torch
 
@@ -178,17 +187,17 @@ class Gallery:
         step = 1
         while (z.shape[0] // step) * (z.shape[1] // step) > MOST_PIXELS:
             step += 1
-        # Each pixel of the smaller map is the least distance in its block: a small match must not vanish.
+        # Each pixel of the smaller map is the minimum of its block, so that small matches do not vanish.
         return HeatMap(_least_of_blocks(z, step), (float(u), float(v)), float(z[row, column]))
 
     def same_place(self, frame: FrameName, u: float, v: float, others: Sequence[FrameName]) -> list[Any]:
-        """Where other frames show the point that a pixel shows, by depth and cameras; None where that is not known.
+        """Ground-truth match of a pixel in other frames, by depth and camera poses.
 
-        It is known in the frames of the same scan, where nothing moves, and in what the other cameras of a
-        demonstration saw at the same moment.
+        It is known in frames of the same scan, which is static, and in images of a demonstration taken at the same
+        time by other cameras.
 
         Returns:
-            [u, v] of each frame's image, or None.
+            for each frame [u, v] in pixels of its image, or None where unknown or not visible.
         """
         import numpy as np
 
@@ -199,11 +208,15 @@ class Gallery:
             return [None] * len(others)
         [point] = camera.points_world(frame.frame, np.array([[u, v]]), np.array([depth]))
         is_scan = self.recordings[frame.recording].scope == "scene"
-        known = [other.recording == frame.recording and (is_scan or other.frame == frame.frame) for other in others]
-        return [self._seen(point, other) if one else None for one, other in zip(known, others, strict=True)]
+        return [
+            self._seen(point, other)
+            if other.recording == frame.recording and (is_scan or other.frame == frame.frame)
+            else None
+            for other in others
+        ]
 
     def _seen(self, point_world: np.ndarray, frame: FrameName) -> list[float] | None:
-        """The pixel that shows a world point (3,), if the measured depth agrees."""
+        """The pixel [u, v] that shows a world point (3,), metres; None if the measured depth disagrees."""
         from bask_data.core.geometry import in_image, invert_rigid, project, transform
 
         camera = self.camera(frame)
@@ -222,7 +235,7 @@ class Gallery:
         rgb = camera.rgb(i_frame)
         with torch.inference_mode():
             cells = self._network.cells(rgb)
-            # Squared lengths far from the origin would cost the small distances their digits.
+            # Far from the origin, squared lengths would cancel the digits of small distances.
             origin = cells.mean(dim=(1, 2))
             cells = cells - origin[:, None, None]
             full = upsampled(cells[None], self._network.input_size((rgb.shape[0], rgb.shape[1])))[0]
@@ -234,19 +247,20 @@ class Gallery:
                 self._described.move_to_end(frame)
             return self._described.get(frame)
 
-    def _keep(self, frame: FrameName, found: FrameDescriptors) -> None:
+    def _keep(self, frame: FrameName, descriptors: FrameDescriptors) -> None:
         with self._keeping:
-            self._described[frame] = found
-            self._described.move_to_end(frame)
-            while len(self._described) > 1 and sum(one.n_bytes for one in self._described.values()) > self._most_bytes:
-                self._described.popitem(last=False)
+            cache = self._described
+            cache[frame] = descriptors
+            cache.move_to_end(frame)
+            while len(cache) > 1 and sum(kept.n_bytes for kept in cache.values()) > self._most_bytes:
+                cache.popitem(last=False)
 
 
 def _least_of_blocks(z: np.ndarray, step: int) -> np.ndarray:
-    """The least of each block of step x step pixels; what is left over at the edges is left out."""
+    """Minimum of each block of step x step pixels; incomplete blocks at the edges are dropped."""
     import numpy as np
 
     whole = z[: z.shape[0] // step * step, : z.shape[1] // step * step]
-    # Of whole rows, then of whole columns: NumPy is ten times slower with a minimum over two axes of four.
+    # Rows first, then columns: a minimum over two of four axes is ten times slower in NumPy.
     rows = reduce(np.minimum, [whole[i::step] for i in range(step)])
     return np.ascontiguousarray(reduce(np.minimum, [rows[:, i::step] for i in range(step)]))

@@ -1,4 +1,4 @@
-"""Long work for the page: one job at a time, how far it is, and a way to end it."""
+"""Long work for the page: one job at a time, with progress and cancellation."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from bask_data.progress import listened_by
 
 
 class Cancelled(Exception):
-    """The job was cancelled; raised where it reports its progress."""
+    """The job was cancelled; raised where it reports progress."""
 
 
 @dataclass
 class _Job:
-    """What runs, since when, and how far its present loop is; times in seconds of the clock."""
+    """The running job and the progress of its current loop; times in seconds of the clock."""
 
     name: str
     can_cancel: bool
@@ -32,10 +32,10 @@ class _Job:
 
 
 class Jobs:
-    """The job that runs, if one does.
+    """At most one running job.
 
     Args:
-        clock: seconds that only ever grow.
+        clock: monotonic time, seconds.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -45,10 +45,10 @@ class Jobs:
 
     @contextmanager
     def running(self, name: str, *, can_cancel: bool) -> Iterator[None]:
-        """Run the block as a job: the progress that its thread reports is the job's.
+        """Run the block as a job, whose progress is what the thread reports.
 
         Raises:
-            UsageError: another job runs.
+            UsageError: another job is running.
             Cancelled: `cancel` was called before the block ended.
         """
         job = _Job(name, can_cancel, self._clock())
@@ -74,17 +74,17 @@ class Jobs:
                 self._job = None
 
     def cancel(self) -> None:
-        """End the job at its next step, if it can be cancelled; nothing if none runs."""
+        """Stop the running job at its next step, if it can be cancelled."""
         with self._lock:
             if self._job is not None and self._job.can_cancel:
                 self._job.is_cancelled = True
 
     def state(self) -> dict[str, Any] | None:
-        """The job as plain data; None if none runs.
+        """The running job as plain data; None if there is none.
 
         Returns:
-            `name`, `can_cancel`, `is_cancelled`; `label`, `done` and `total` of its present loop, total None where it
-            is not known; `seconds` it has taken, and `seconds_left` of the loop, None before its first step.
+            `name`, `can_cancel`, `is_cancelled`; `label`, `done` and `total` of its current loop (`total` None if
+            unknown); `seconds` since its start, and `seconds_left` of the loop (None before its first step).
         """
         with self._lock:
             job = self._job

@@ -1,4 +1,4 @@
-"""What the page may ask its server for, each request a model that refuses what it does not know."""
+"""Requests of the page to its server, as strict models."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from pydantic import BaseModel, ConfigDict, Field
 from bask_data.picker.gallery import FrameName
 
 MOST_FRAMES = 24
-"""Frames that one request may ask for. The page shows seven; the bound keeps a request short (a frame takes 5 ms to
-search with 64 dimensions at 256x256), and may as well be twice or half of that."""
+"""Most frames of one request. The page shows at most nine; the bound limits the time of a request (searching a frame
+of 256x256 pixels and 64 dimensions takes 5 ms), and half or twice as many would do."""
 
 
 class Request(BaseModel):
-    """What the page asks for; a field too many is an error."""
+    """A request of the page; unknown fields are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class FrameRequest(Request):
-    """A frame that something is wanted of."""
+    """A request about one frame."""
 
     frame: FrameName
 
@@ -34,20 +34,20 @@ class FramePixel(Request):
 
 
 class HeatRequest(Request):
-    """A pixel, and the frames to look for it in."""
+    """A pixel, and the frames in which to search for its descriptor."""
 
     at: FramePixel
     frames: tuple[FrameName, ...] = Field(max_length=MOST_FRAMES)
 
 
 class MatchesRequest(Request):
-    """Frames to look for all keypoints in."""
+    """Frames in which to search for all keypoints."""
 
     frames: tuple[FrameName, ...] = Field(max_length=MOST_FRAMES)
 
 
 class EditRequest(Request):
-    """One step of work on the draft."""
+    """One step of editing the draft."""
 
     do: Literal["add", "move", "rename", "delete", "clear", "undo", "redo"]
     name: str = Field("", max_length=200)
@@ -56,7 +56,7 @@ class EditRequest(Request):
 
 
 class ProposalRequest(Request):
-    """Keypoints chosen automatically on the objects of a scan."""
+    """A request for n automatic keypoints on the objects of a scan."""
 
     scene: str = Field(max_length=100)
     n: int = Field(16, ge=1, le=64)

@@ -1,4 +1,4 @@
-"""The page's server: on this machine only, for those who have the link, and for nothing but what is listed here."""
+"""The page's server: reachable from this machine only, and only with the token in its URL."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 LOOPBACK = "127.0.0.1"
 MOST_BODY_BYTES = 64 * 1024
-"""Bytes of a request's body. The largest that the page sends, a search in seven frames, takes 0.6 kB, and 4 kB with the
-longest names. It keeps a hostile request from filling memory, so a quarter or ten times of it are as good."""
+"""Most bytes of a request's body. The page's largest, a search in nine frames, has less than 1 kB, or 5 kB with the
+longest names. The bound keeps hostile requests from filling memory; a quarter or ten times of it would do."""
 
 HEADERS = {
     "Cache-Control": "no-store",
@@ -44,14 +44,14 @@ PROGRAM = tuple(
         *("paint", "loupe", "layout", "list", "jobs", "start"),
     )
 )
-"""One program in several files; what one defines, the later ones may use while they are read."""
+"""Files of the page's one script, in the order of their dependencies."""
 
 
 class Guard:
-    """Lets through what a page of this server asks for, and its first opening by the link; refuses all else.
+    """Middleware that admits the page's requests and the first visit by its URL, and refuses all others.
 
-    Other pages that the same browser has open can send requests here too. They are told by their origin; those that
-    reach this address under a name of their own, by the host. Neither has the token.
+    Other pages open in the same browser can send requests to this server, too. Their `Origin` gives them away, and
+    their `Host` if they reach this address under another name (DNS rebinding). Neither has the token.
     """
 
     def __init__(self, app: ASGIApp, hosts: frozenset[str], token: str) -> None:
@@ -59,14 +59,14 @@ class Guard:
         self._origins = frozenset(f"http://{host}" for host in hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer 403 or hand on."""
+        """Answer 403, or pass the request on."""
         if scope["type"] == "lifespan" or self._is_allowed(scope):
             await self._app(scope, receive, send)
             return
         if scope["type"] == "http":
             from starlette.responses import PlainTextResponse
 
-            text = "Refused. Open the link that bask-data printed.\n"
+            text = "Refused. Open the URL that bask-data printed.\n"
             await PlainTextResponse(text, 403, HEADERS)(scope, receive, send)
 
     def _is_allowed(self, scope: Scope) -> bool:
@@ -78,22 +78,23 @@ class Guard:
         host, origin = values.get(b"host", []), values.get(b"origin", [])
         if len(host) != 1 or host[0].decode("latin-1").lower() not in self._hosts:
             return False
-        if any(one.decode("latin-1").lower() not in self._origins for one in origin):
+        if any(value.decode("latin-1").lower() not in self._origins for value in origin):
             return False
         if scope["path"] == "/":
-            given = [one.encode() for one in parse_qs(scope["query_string"].decode("latin-1")).get("token", [])]
+            tokens = [value.encode() for value in parse_qs(scope["query_string"].decode("latin-1")).get("token", [])]
         else:
-            # A form of another page can post here, but not with a header of its own, and it states its origin.
-            given = values.get(b"x-token", []) if len(origin) == 1 else []
-        return len(given) == 1 and secrets.compare_digest(given[0], self._token)
+            # A form of another page can post here, but it cannot add a header, and it states its origin.
+            tokens = values.get(b"x-token", []) if len(origin) == 1 else []
+        return len(tokens) == 1 and secrets.compare_digest(tokens[0], self._token)
 
 
 def application(desk: Desk, hosts: frozenset[str], token: str, close: Callable[[], None]) -> ASGIApp:
-    """The page and what it asks for.
+    """The web application: the page and its requests.
 
     Args:
-        hosts: names and port under which the server may be spoken to.
-        close: ends the server.
+        hosts: accepted values of the `Host` header, `name:port`.
+        token: secret of the page's URL.
+        close: stops the server.
     """
     from starlette.applications import Starlette
     from starlette.responses import HTMLResponse, JSONResponse
@@ -120,7 +121,7 @@ def application(desk: Desk, hosts: frozenset[str], token: str, close: Callable[[
 
 
 def page_text(nonce: str) -> str:
-    """The page with its style and its program inside: it asks for nothing else."""
+    """The page's HTML with styles and script inlined; it loads nothing else."""
     text = (PAGE / "index.html").read_text(encoding="utf-8")
     for mark, names in (("/*STYLE*/", STYLE), ("/*PROGRAM*/", PROGRAM)):
         text = text.replace(mark, "\n".join((PAGE / name).read_text(encoding="utf-8") for name in names))
@@ -128,7 +129,7 @@ def page_text(nonce: str) -> str:
 
 
 def _answering(answer: Callable[[Any], Any]) -> Callable[[HttpRequest], Awaitable[Response]]:
-    """A method of the desk as an answer to requests: JSON in; JSON, or bytes, out."""
+    """An endpoint that calls a method of the desk: JSON in; JSON or bytes out."""
     from starlette.concurrency import run_in_threadpool
     from starlette.responses import JSONResponse, Response
 
@@ -148,15 +149,15 @@ def _answering(answer: Callable[[Any], Any]) -> Callable[[HttpRequest], Awaitabl
         try:
             parsed = model.model_validate_json(bytes(body))
         except ValidationError as error:
-            field, expected, came = fault_in_json(error)
-            return refused(400, str(UsageError(field or "request", expected=expected, got=came)))
+            field, expected, got = fault_in_json(error)
+            return refused(400, str(UsageError(field or "request", expected=expected, got=got)))
         try:
-            answered = await run_in_threadpool(answer, parsed)
+            content = await run_in_threadpool(answer, parsed)
         except BaskError as error:
             return refused(400, str(error))
-        if isinstance(answered, bytes):
-            return Response(answered, media_type="application/octet-stream", headers=HEADERS)
-        return JSONResponse(answered, headers=HEADERS)
+        if isinstance(content, bytes):
+            return Response(content, media_type="application/octet-stream", headers=HEADERS)
+        return JSONResponse(content, headers=HEADERS)
 
     return endpoint
 
@@ -165,12 +166,12 @@ def serve(desk: Desk, port: int, *, opened: Callable[[str], None]) -> None:
     """Serve the page on this machine until it is closed or interrupted.
 
     Args:
-        port: 0 takes any that is free.
-        opened: told the link, when it can be followed.
+        port: TCP port; 0 selects a free one.
+        opened: receives the URL once the server listens.
 
     Raises:
-        MissingDependency: the packages for it are not installed.
-        UsageError: the port is taken.
+        MissingDependency: the packages of the extra `pick` are not installed.
+        UsageError: the port is in use.
     """
     imported("uvicorn", "a web server", user="--pick", extra="pick")
     import uvicorn
@@ -186,7 +187,7 @@ def serve(desk: Desk, port: int, *, opened: Callable[[str], None]) -> None:
     config = uvicorn.Config(
         application(desk, hosts, token, close),
         log_level="critical",
-        ws="none",  # There is nothing to be had by it, and browsers let any page open one anywhere.
+        ws="none",  # Unused, and browsers let any page open a WebSocket to any host.
         http="h11",
         lifespan="off",
         access_log=False,
@@ -202,20 +203,18 @@ def serve(desk: Desk, port: int, *, opened: Callable[[str], None]) -> None:
         try:
             server.run(sockets=[listening])
         finally:
-            desk.jobs.cancel()  # Nobody waits for it any more.
+            desk.jobs.cancel()
 
 
 def listen(port: int) -> socket.socket:
-    """A socket that only this machine reaches; `UsageError` when the port is taken."""
+    """A socket listening on the loopback interface; `UsageError` if the port is in use."""
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((LOOPBACK, port))
     except (OSError, OverflowError) as error:
         listening.close()
-        expected = f"port {port} to be free"
-        raise UsageError(
-            "reference", "--port", expected=expected, got=str(error), fix="give another --port."
-        ) from error
+        expected, fix = f"port {port} to be free", "choose another --port."
+        raise UsageError("reference", "--port", expected=expected, got=str(error), fix=fix) from error
     listening.listen(64)
     return listening

@@ -1,4 +1,4 @@
-"""What a person does on the page, and what it looks like then."""
+"""A user's actions on the page, and what the page shows."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def served_of(
     page,
     propose: Callable[[str, int], list[KeypointMark]] = proposals,
 ) -> Iterator[Served]:
-    """The server of a desk without a dataset's stages; the page leaves it before it ends."""
+    """A server without the dataset's stages; the page is left before the server ends."""
     desk = Desk(
         Gallery(recordings, untrained()),
         Draft(tmp_path / "picks.json"),
@@ -46,12 +46,12 @@ def served_of(
     try:
         yield server
     finally:
-        page.goto("about:blank")  # What it still asks for would be refused, which is a fault.
+        page.goto("about:blank")  # Requests after the server's end would count as faults.
         server.end()
 
 
 def ready(page) -> None:
-    """Wait until every view that is shown has its picture and can be searched."""
+    """Wait until every visible view has its picture and can be searched."""
     page.wait_for_function(
         "() => views.length && shownViews().length && shownViews().every((view) => view.root.matches('.ready'))"
     )
@@ -63,7 +63,7 @@ def opened(page, url: str) -> None:
 
 
 def place_of(page, u: float, v: float, view: int = 0) -> tuple[float, float]:
-    """Where a pixel of the frames' size is on the page."""
+    """Position on the page, CSS pixels, of a pixel (u, v) in a view."""
     box = page.locator(".screen canvas").nth(view).bounding_box()
     zoom = min(box["width"] / WIDTH, box["height"] / HEIGHT)
     x, y = box["x"] + (box["width"] - zoom * WIDTH) / 2, box["y"] + (box["height"] - zoom * HEIGHT) / 2
@@ -97,13 +97,13 @@ def pixels(page, view: int) -> np.ndarray:
 
 
 def settled(page, view: int, is_enough) -> np.ndarray:
-    """A view's pixels as soon as they are as wanted: drawing follows the server's answers."""
+    """A view's pixels as soon as `is_enough` holds: drawing follows the server's answers."""
     for _ in range(200):
-        found = pixels(page, view)
-        if is_enough(found):
-            return found
+        shown = pixels(page, view)
+        if is_enough(shown):
+            return shown
         time.sleep(0.1)
-    raise AssertionError("the view never came to look as it should")
+    raise AssertionError("the view never reached the expected look")
 
 
 def settled_text(page, selector: str, text: str) -> None:

@@ -1,4 +1,4 @@
-"""A real browser, and the page open for it."""
+"""Fixtures with a real browser and the page's server."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def browser() -> Iterator[object]:
 def page(browser) -> Iterator[object]:
     page = browser.new_page(viewport={"width": 1400, "height": 860})
     page.set_default_timeout(60_000)
-    # The browser writes down each request that failed: a test that brings one about says so.
+    # The browser logs each failed request; tests that provoke one set `is_refused`.
     page.faults, page.is_refused = [], False
     page.on("pageerror", lambda error: page.faults.append(str(error)))
     page.on("console", lambda line: page.faults.append(line.text) if line.type == "error" else None)

@@ -1,4 +1,4 @@
-"""A small dataset with frames to pick on, and an untrained network."""
+"""A small dataset with frames to pick in, and an untrained network."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A picker's server in this process, and ways to speak to it."""
+"""A picker's server in this process, and a client for it."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from bask_data.picker.server import serve
 
 
 class Served:
-    """A server in a thread, and ways to speak to it."""
+    """A server in a thread, and a client for it."""
 
     def __init__(self, desk: Desk) -> None:
         self.desk = desk
         self.run(lambda: serve(desk, 0, opened=self.open))
 
     def run(self, serving: Callable[[], None]) -> None:
-        """Start what serves and calls `open`."""
+        """Run `serving` in a thread until it calls `open`."""
         self._opened = threading.Event()
         self._thread = threading.Thread(target=serving, daemon=True)
         self._thread.start()
         assert self._opened.wait(60)
 
     def open(self, url: str) -> None:
-        """Take the link."""
+        """Record the URL."""
         self.url = url
         self.host, _, rest = url.removeprefix("http://").partition("/")
         self.port, self.token = int(self.host.split(":")[1]), rest.partition("token=")[2]
@@ -44,7 +44,7 @@ class Served:
             return answer.status, answer.read()
 
     def raw(self, text: bytes) -> int:
-        """The status of an answer to bytes as they are; 0 where the connection is closed without one."""
+        """Status of the answer to raw bytes; 0 if the connection is closed without one."""
         with socket.create_connection(("127.0.0.1", self.port), timeout=30) as connection:
             connection.sendall(text)
             answer = connection.makefile("rb").readline()
@@ -57,7 +57,7 @@ class Served:
     def ask(self, name: str, /, **body: object) -> tuple[int, bytes]:
         return self.request("POST", f"/api/{name}", json.dumps(body).encode(), **self.headers_of_page)
 
-    def told(self, name: str, /, **body: object) -> dict:
+    def answer(self, name: str, /, **body: object) -> dict:
         status, text = self.ask(name, **body)
         assert status == 200, text
         return json.loads(text)

@@ -16,7 +16,7 @@ def mark(name: str = "", u: float = 3.0) -> KeypointMark:
 
 
 def names(draft: Draft) -> list[str]:
-    return [one.name for one in draft.marks]
+    return [mark.name for mark in draft.marks]
 
 
 @pytest.fixture
@@ -24,14 +24,14 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / ".scratch" / "picks.json"
 
 
-def test_marks_without_a_name_or_with_a_taken_one_get_another(file: Path) -> None:
+def test_empty_and_taken_names_are_replaced_by_free_ones(file: Path) -> None:
     draft = Draft(file)
     for name in ("", "rim", "", "rim", "rim"):
         draft.add([mark(name)])
     assert names(draft) == ["point_1", "rim", "point_2", "rim_2", "rim_3"]
 
 
-def test_every_step_is_undone_and_done_again_and_survives_a_reload(file: Path) -> None:
+def test_every_step_can_be_undone_and_redone_after_a_reload(file: Path) -> None:
     draft = Draft(file, [mark("first")])
     steps = [
         lambda: draft.add([mark("rim"), mark("knob")]),
@@ -61,7 +61,7 @@ def test_every_step_is_undone_and_done_again_and_survives_a_reload(file: Path) -
     assert draft.marks == seen[-1]
 
 
-def test_a_new_step_forgets_what_was_undone_and_one_that_changes_nothing_is_none(file: Path) -> None:
+def test_a_new_step_discards_undone_ones_and_a_move_to_the_same_place_is_no_step(file: Path) -> None:
     draft = Draft(file)
     draft.add([mark("a")])
     draft.undo()
@@ -73,7 +73,7 @@ def test_a_new_step_forgets_what_was_undone_and_one_that_changes_nothing_is_none
 
 
 @given(steps=st.lists(st.sampled_from(["add", "move", "delete", "undo", "redo"]), max_size=30))
-def test_undoing_everything_gives_the_beginning(tmp_path_factory, steps: list[str]) -> None:
+def test_undoing_everything_restores_the_start(tmp_path_factory, steps: list[str]) -> None:
     draft = Draft(tmp_path_factory.mktemp("draft") / "picks.json", [mark("first")])
     for i, step in enumerate(steps):
         if step == "add":
@@ -92,7 +92,7 @@ def test_undoing_everything_gives_the_beginning(tmp_path_factory, steps: list[st
     assert draft.marks == (mark("first"),)
 
 
-def test_what_is_saved_is_forgotten(file: Path) -> None:
+def test_dropping_a_draft_deletes_its_file(file: Path) -> None:
     draft = Draft(file)
     draft.add([mark("rim")])
     assert not Draft(file).is_new
@@ -104,16 +104,16 @@ def test_what_is_saved_is_forgotten(file: Path) -> None:
 @pytest.mark.parametrize(
     ("step", "message"),
     [
-        (lambda draft: draft.rename("rim", "knob"), "name: expected one that no other keypoint has, got knob"),
+        (lambda draft: draft.rename("rim", "knob"), "name: expected a name that no other keypoint has, got knob"),
         (lambda draft: draft.rename("rim", "a:b"), "name: expected letters, digits, spaces, .* at most 40, got 'a:b'"),
         (lambda draft: draft.rename("rim", " "), "name: expected letters"),
         (lambda draft: draft.rename("rim", "x" * 41), "name: expected letters"),
-        (lambda draft: draft.move("none", 0.0, 0.0), "name: expected that of a keypoint, got none"),
-        (lambda draft: draft.delete(["rim", "none"]), "name: expected that of a keypoint, got none"),
+        (lambda draft: draft.move("none", 0.0, 0.0), "name: expected the name of a keypoint, got none"),
+        (lambda draft: draft.delete(["rim", "none"]), "name: expected the name of a keypoint, got none"),
         (lambda draft: draft.add([mark()] * MOST_MARKS), f"keypoints: expected at most {MOST_MARKS}, got 258"),
     ],
 )
-def test_what_cannot_be_done_changes_nothing(file: Path, step, message: str) -> None:
+def test_an_invalid_step_changes_nothing(file: Path, step, message: str) -> None:
     draft = Draft(file, [mark("rim"), mark("knob")])
     with pytest.raises(UsageError, match=message):
         step(draft)
@@ -121,7 +121,7 @@ def test_what_cannot_be_done_changes_nothing(file: Path, step, message: str) -> 
     assert not draft.can_undo
 
 
-def test_names_may_be_words_of_any_language() -> None:
+def test_names_may_have_letters_of_any_language() -> None:
     assert checked_name("  Griff übers Eck.2 ") == "Griff übers Eck.2"
 
 
@@ -134,8 +134,8 @@ def test_names_may_be_words_of_any_language() -> None:
         (json.dumps({"marks": 3}), "marks: expected "),
     ],
 )
-def test_a_damaged_file_says_what_to_do(tmp_path: Path, text: str, what: str) -> None:
+def test_a_damaged_file_is_reported_with_a_fix(tmp_path: Path, text: str, what: str) -> None:
     file = tmp_path / "picks.json"
     file.write_text(text)
-    with pytest.raises(BadData, match=rf"picks.json: {what}.*fix: delete it: it holds unfinished picks only."):
+    with pytest.raises(BadData, match=rf"picks.json: {what}.*fix: delete it; it holds only unsaved picks."):
         Draft(file)

@@ -23,7 +23,7 @@ def gallery(recordings) -> Gallery:
     return Gallery(recordings, untrained())
 
 
-def test_what_is_there_is_listed(gallery) -> None:
+def test_recordings_and_their_cameras_are_listed(gallery) -> None:
     camera = {"name": "wrist", "width": WIDTH, "height": HEIGHT}
     assert gallery.listed() == [
         {"name": "a", "scope": "scene", "cameras": [{**camera, "n_frames": N_VIEWS}]},
@@ -32,7 +32,7 @@ def test_what_is_there_is_listed(gallery) -> None:
     ]
 
 
-def test_distances_are_those_of_the_network_to_the_descriptor_the_stage_would_take(gallery, recordings) -> None:
+def test_distances_equal_those_of_the_network_to_the_descriptor_of_the_stage(gallery, recordings) -> None:
     rgb = recordings["a"].camera("wrist").rgb(1)
     descriptor = gallery.descriptor_at(frame("a", 1), 40.5, 50.0)
     expected = untrained().descriptors_at(rgb, np.array([[40.5, 50.0]], np.float32))[0]
@@ -52,7 +52,7 @@ def test_the_best_match_of_a_pixel_in_its_own_frame_is_itself(gallery) -> None:
     assert found.z_best < 1e-3
 
 
-def test_a_large_map_is_made_smaller_without_losing_its_least_distance(gallery, monkeypatch) -> None:
+def test_a_large_map_is_reduced_without_losing_its_smallest_distance(gallery, monkeypatch) -> None:
     descriptor = gallery.descriptor_at(frame("a", 0), 40.5, 50.5)
     whole = gallery.find(descriptor, frame("b", 2))
     monkeypatch.setattr(module, "MOST_PIXELS", 500)
@@ -65,12 +65,12 @@ def test_a_large_map_is_made_smaller_without_losing_its_least_distance(gallery, 
 def test_pictures_are_the_frames(gallery, recordings) -> None:
     decoded = cv2.imdecode(np.frombuffer(gallery.picture(frame("b", 3)), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
     difference = decoded.astype(int) - recordings["b"].camera("wrist").rgb(3)
-    # The surfaces are noise in every pixel and channel, which JPEG smooths; but no channel is in another's place.
+    # The surfaces are noise, which JPEG smooths; swapped channels would differ more.
     assert np.abs(difference).mean() < 10
     assert np.abs(difference.mean(axis=(0, 1))).max() < 1
 
 
-def test_the_true_place_is_known_in_frames_of_the_same_scan_only(gallery) -> None:
+def test_ground_truth_is_known_only_in_frames_of_the_same_scan(gallery) -> None:
     _, world_from_cameras, images = pairs.views(N_VIEWS, 0)
     image = images[0]
     others = [frame("a", i) for i in range(1, N_VIEWS)]
@@ -93,22 +93,22 @@ def test_the_true_place_is_known_in_frames_of_the_same_scan_only(gallery) -> Non
     assert n_seen > 10
 
 
-def test_in_a_demonstration_only_the_same_moment_shows_the_same_place(gallery) -> None:
+def test_ground_truth_of_a_demonstration_is_known_only_at_the_same_time(gallery) -> None:
     moment = frame("lift", 0)
     [own, later] = gallery.same_place(moment, 60.0, 50.0, [moment, frame("lift", 1)])
     np.testing.assert_allclose(own, [60.0, 50.0], atol=1e-6)
     assert later is None
 
 
-def test_without_depth_no_place_is_known(recordings, monkeypatch) -> None:
+def test_without_depth_there_is_no_ground_truth(recordings, monkeypatch) -> None:
     gallery = Gallery(recordings, untrained())
     monkeypatch.setattr(gallery, "_depth", lambda frame: np.zeros((HEIGHT, WIDTH), np.float32))
     assert gallery.same_place(frame("a", 0), 60.0, 50.0, [frame("a", 0), frame("a", 1)]) == [None, None]
 
 
-def test_memory_is_bounded_and_what_was_used_last_stays(recordings) -> None:
-    one = Gallery(recordings, untrained()).describe(frame("a", 0)).n_bytes
-    gallery = Gallery(recordings, untrained(), most_bytes=2 * one)
+def test_memory_is_bounded_and_the_frames_used_last_stay(recordings) -> None:
+    n_bytes = Gallery(recordings, untrained()).describe(frame("a", 0)).n_bytes
+    gallery = Gallery(recordings, untrained(), most_bytes=2 * n_bytes)
     for i in (0, 1, 0, 2):
         gallery.describe(frame("a", i))
     assert [gallery.is_described(frame("a", i)) for i in range(3)] == [True, False, True]
@@ -120,8 +120,8 @@ def test_memory_is_bounded_and_what_was_used_last_stays(recordings) -> None:
 def test_a_frame_is_described_once(recordings) -> None:
     network = untrained()
     seen = []
-    monkey = network.cells
-    network.cells = lambda rgb: (seen.append(1), monkey(rgb))[1]  # type: ignore[method-assign]
+    cells = network.cells
+    network.cells = lambda rgb: (seen.append(1), cells(rgb))[1]  # type: ignore[method-assign]
     gallery = Gallery(recordings, network)
     descriptor = gallery.descriptor_at(frame("a", 0), 3.0, 3.0)
     gallery.find(descriptor, frame("a", 0))

@@ -10,7 +10,7 @@ from bask_data.progress import progress
 
 
 class Clock:
-    """Seconds that pass when told to."""
+    """A clock that the test advances, seconds."""
 
     now = 100.0
 
@@ -18,18 +18,18 @@ class Clock:
         return self.now
 
     def steps(self, n: int, seconds: float) -> Iterator[int]:
-        """A loop of n steps that take so long each."""
+        """A loop of n steps that take `seconds` each."""
         for i in progress(range(n), "looking"):
             yield i
             self.now += seconds
 
 
-def test_a_job_tells_how_far_it_is_and_how_long_it_still_takes() -> None:
+def test_a_job_reports_its_progress_and_remaining_time() -> None:
     clock = Clock()
     jobs = Jobs(clock)
     assert jobs.state() is None
     with jobs.running("propose", can_cancel=True):
-        clock.now += 5.0  # Before the loop: it counts to what was taken, not to what a step takes.
+        clock.now += 5.0  # Time before the loop counts as elapsed, not as a step's.
         seen = [jobs.state() for _ in clock.steps(4, seconds=2.0)]
     assert jobs.state() is None
     assert [state["done"] for state in seen] == [0, 1, 2, 3]
@@ -38,7 +38,7 @@ def test_a_job_tells_how_far_it_is_and_how_long_it_still_takes() -> None:
     assert {(state["name"], state["label"], state["total"]) for state in seen} == {("propose", "looking", 4)}
 
 
-def test_a_loop_of_unknown_length_tells_no_time_left() -> None:
+def test_a_loop_of_unknown_length_has_no_remaining_time() -> None:
     clock = Clock()
     jobs = Jobs(clock)
     with jobs.running("save", can_cancel=False):
@@ -68,7 +68,7 @@ def test_a_job_that_is_cancelled_after_its_last_step_is_cancelled() -> None:
         jobs.cancel()
 
 
-def test_what_cannot_be_cancelled_goes_on_and_without_a_job_there_is_nothing_to_cancel() -> None:
+def test_cancelling_has_no_effect_without_a_job_or_on_one_that_cannot_be_cancelled() -> None:
     jobs = Jobs()
     jobs.cancel()
     with jobs.running("save", can_cancel=False):

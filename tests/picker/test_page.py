@@ -43,7 +43,7 @@ def spread_over(instance: np.ndarray, label: int, n: int) -> list[tuple[int, int
 
 @contextmanager
 def ended(process: subprocess.Popen) -> Iterator[subprocess.Popen]:
-    """The process, which does not outlive a test that fails."""
+    """The process, killed at the end of the test."""
     try:
         yield process
     finally:
@@ -84,15 +84,15 @@ def test_sixteen_points_over_two_objects_survive_a_reload_and_are_saved(page, pa
         playwright.expect(page.locator("#saved-text")).to_have_text("16 keypoints saved as reference/main")
         assert page.locator("#saved-next").inner_text() == f"bask-data encode {page_dataset.root}"
         page.locator("#finish").click()
-        playwright.expect(page.locator("body")).to_have_text("Saved. This page can be closed.")
-        told = process.stderr.read()
-        found = json.loads(process.stdout.read())
-        assert process.wait(60) == 0, told
-    assert f"next: bask-data encode {page_dataset.root}\n" in told
-    assert [(outcome["label"], outcome["status"]) for outcome in found["outcomes"]] == [("reference", "made")]
+        playwright.expect(page.locator("body")).to_have_text("Saved. You can close this page.")
+        notes = process.stderr.read()
+        results = json.loads(process.stdout.read())
+        assert process.wait(60) == 0, notes
+    assert f"next: bask-data encode {page_dataset.root}\n" in notes
+    assert [(outcome["label"], outcome["status"]) for outcome in results["outcomes"]] == [("reference", "made")]
     kept = ReferenceKeypoints(page_dataset.path(ReferenceKeypoints))
-    assert [(pick.recording, pick.frame, pick.instance) for pick in kept.picks] == [("a", 1, one[2]) for one in wanted]
-    np.testing.assert_allclose([(pick.u, pick.v) for pick in kept.picks], [one[:2] for one in wanted], atol=0.3)
+    assert [(pick.recording, pick.frame, pick.instance) for pick in kept.picks] == [("a", 1, i) for _, _, i in wanted]
+    np.testing.assert_allclose([(pick.u, pick.v) for pick in kept.picks], [uvi[:2] for uvi in wanted], atol=0.3)
     section = yaml.safe_load((page_dataset.root / "params.yaml").read_text())["reference@main"]
     assert (len(section["picks"]), section["auto"]) == (16, False)
     rows = json.loads(CliRunner().invoke(app, ["status", str(page_dataset.root), "--json"]).stdout)["artifacts"]
@@ -104,10 +104,10 @@ def test_a_single_recording_fills_every_view(page, page_dataset, tmp_path) -> No
         opened(page, server.url)
         assert page.locator(".view.ready").count() == 9
         shown = page.evaluate("views.map((view) => view.frame.join())")
-        assert len(set(shown[:N_VIEWS])) == N_VIEWS  # Only then the same ones again.
+        assert len(set(shown[:N_VIEWS])) == N_VIEWS  # Frames repeat only when all are shown.
 
 
-def test_a_point_is_dragged_named_and_deleted(page, served_page) -> None:
+def test_a_keypoint_is_dragged_renamed_and_deleted(page, served_page) -> None:
     opened(page, served_page.url)
     click(page, 30, 40, 1)
     click(page, 90, 60, 2)
@@ -131,14 +131,16 @@ def test_a_point_is_dragged_named_and_deleted(page, served_page) -> None:
     assert [mark.name for mark in served_page.desk.draft.marks] == ["rim", "point_2"]
 
 
-def test_a_name_that_is_taken_is_told(page, served_page) -> None:
+def test_a_taken_name_is_reported(page, served_page) -> None:
     opened(page, served_page.url)
     click(page, 30, 40, 1)
     click(page, 90, 60, 2)
     page.keyboard.press("F2")
     page.locator(".name-field").fill("point_1")
     page.keyboard.press("Enter")
-    playwright.expect(page.locator("#status")).to_contain_text("expected one that no other keypoint has, got point_1")
+    playwright.expect(page.locator("#status")).to_contain_text(
+        "expected a name that no other keypoint has, got point_1"
+    )
     page.is_refused = True
     assert [mark.name for mark in served_page.desk.draft.marks] == ["point_1", "point_2"]
 
@@ -152,7 +154,7 @@ def test_everything_can_be_done_with_the_keyboard(page, served_page) -> None:
     count(page, 1)
     [mark] = served_page.desk.draft.marks
     np.testing.assert_allclose([mark.u, mark.v], [63.5 + 2, 47.5 + 1])
-    # The new point is chosen: arrows move it, and what belongs together is one step.
+    # The new keypoint is selected: arrows move it, and quick presses are one step.
     for key in ("Shift+ArrowLeft", "ArrowUp"):
         page.keyboard.press(key)
     for _ in range(200):
@@ -180,11 +182,11 @@ def test_hovering_lights_up_all_frames_and_h_turns_it_off(page, served_page) -> 
         settled(page, view, lambda found, view=view: np.abs(found - before[view]).mean() > 5)
     page.keyboard.press("h")
     for view in (1, 2):
-        # What stays is a ring at the best match.
+        # A ring at the best match remains.
         settled(page, view, lambda found, view=view: (np.abs(found - before[view]).max(axis=-1) > 30).mean() < 0.02)
 
 
-def test_each_keypoint_is_shown_where_it_is_found(page, served_page) -> None:
+def test_each_keypoint_is_shown_at_its_best_match(page, served_page) -> None:
     opened(page, served_page.url)
     before = pixels(page, 1)
     click(page, 60, 50, 1)
@@ -195,7 +197,7 @@ def test_each_keypoint_is_shown_where_it_is_found(page, served_page) -> None:
     settled(page, 1, lambda found: np.abs(found - before).max() < 20)
 
 
-def test_proposals_are_added_and_undone_as_one(page, served_page) -> None:
+def test_proposals_are_added_and_undone_as_one_step(page, served_page) -> None:
     opened(page, served_page.url)
     page.locator("#propose").click()
     page.locator("#propose-scene").select_option("b")
@@ -211,7 +213,7 @@ def test_proposals_are_added_and_undone_as_one(page, served_page) -> None:
     count(page, 0)
 
 
-def test_frames_change_places_and_are_kept_over_a_reload(page, served_page) -> None:
+def test_swapped_frames_survive_a_reload(page, served_page) -> None:
     opened(page, served_page.url)
     frame_in(page, 0, "lift", 1)
     frame_in(page, 2, "b", 3)
@@ -226,7 +228,7 @@ def test_frames_change_places_and_are_kept_over_a_reload(page, served_page) -> N
     assert shown == ["b3", "lift1"]
 
 
-def test_a_server_that_has_ended_is_told(page, page_dataset, tmp_path) -> None:
+def test_the_end_of_the_server_is_reported(page, page_dataset, tmp_path) -> None:
     desk = Desk(
         Gallery(recordings_of(page_dataset), untrained()),
         Draft(tmp_path / "picks.json"),
@@ -238,5 +240,5 @@ def test_a_server_that_has_ended_is_told(page, page_dataset, tmp_path) -> None:
     opened(page, server.url)
     server.end()
     page.mouse.click(*place_of(page, 60, 50))
-    playwright.expect(page.locator("#status")).to_contain_text("What was picked is kept: start it again.")
+    playwright.expect(page.locator("#status")).to_contain_text("Your keypoints are kept: start it again.")
     page.is_refused = True

@@ -1,4 +1,4 @@
-"""The page in windows of several sizes, and while the server works long, in a real browser."""
+"""The page in windows of several sizes, and during long work of the server, in a real browser."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_the_main_picture_fills_its_column_and_nothing_is_cut_off(
     assert (found["isInside"], found["isScrolled"]) == (True, False)
 
 
-def test_views_come_and_go_with_the_room_there_is(page, served_page) -> None:
+def test_the_number_of_views_follows_the_size_of_the_window(page, served_page) -> None:
     page.set_viewport_size({"width": 800, "height": 600})
     opened(page, served_page.url)
     hidden = page.evaluate("() => views.filter((view) => !view.isShown).map((view) => [view.isLoaded, view.picture])")
@@ -65,7 +65,7 @@ def test_views_come_and_go_with_the_room_there_is(page, served_page) -> None:
     assert not page.evaluate(MEASURED)["isScrolled"]
 
 
-def test_what_has_the_focus_of_the_keyboard_is_outlined(page, served_page) -> None:
+def test_the_element_with_keyboard_focus_is_outlined(page, served_page) -> None:
     opened(page, served_page.url)
     outlined = set()
     for _ in range(40):
@@ -77,7 +77,7 @@ def test_what_has_the_focus_of_the_keyboard_is_outlined(page, served_page) -> No
     assert outlined >= {"BUTTON", "INPUT", "SELECT", "CANVAS"}
 
 
-def test_proposing_shows_its_progress_also_after_a_reload_and_can_be_cancelled(page, page_dataset, tmp_path) -> None:
+def test_proposing_shows_progress_across_a_reload_and_can_be_cancelled(page, page_dataset, tmp_path) -> None:
     go_on = threading.Event()
 
     def slow(scene: str, n: int) -> list[KeypointMark]:
@@ -102,7 +102,7 @@ def test_proposing_shows_its_progress_also_after_a_reload_and_can_be_cancelled(p
         page.reload()
         settled_text(page, "#job-time", "50 % · ")
         page.locator("#job-cancel").click()
-        settled_text(page, "#job-time", "ending …")
+        settled_text(page, "#job-time", "cancelling …")
         go_on.set()
         playwright.expect(page.locator("#job")).to_be_hidden()
         playwright.expect(page.locator("#propose")).to_be_enabled()

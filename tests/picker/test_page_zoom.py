@@ -1,4 +1,4 @@
-"""Enlarging and panning the page's pictures in a real browser: what is hit stays exact."""
+"""Zooming and panning the page's pictures in a real browser: picks stay exact."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ MIDDLE_OF_LOUPE = """() => {
 
 
 class Enlarged:
-    """Where pixels lie on the main picture after it was enlarged about one place: computed, not asked for.
+    """Expected positions of pixels on the main picture, enlarged about a pixel, computed independently of the page.
 
-    A mouse is at whole CSS pixels only: the place is the one next to (u, v).
+    A mouse is at whole CSS pixels only: the centre is the one nearest to (u, v).
     """
 
     def __init__(self, page, u: float, v: float, zoom: float = 4.0) -> None:
@@ -40,16 +40,16 @@ class Enlarged:
         self.u, self.v = u + (self.x - x) / fit, v + (self.y - y) / fit
 
     def place(self, u: float, v: float) -> tuple[int, int]:
-        """The whole CSS pixel next to a pixel of the image."""
+        """The whole CSS pixel nearest to a pixel of the image."""
         return round(self.x + self.scale * (u - self.u)), round(self.y + self.scale * (v - self.v))
 
     def pixel(self, x: int, y: int) -> tuple[float, float]:
-        """The pixel of the image at a place of the page."""
+        """The pixel of the image at a position on the page."""
         return self.u + (x - self.x) / self.scale, self.v + (y - self.y) / self.scale
 
 
 def enlarged(page, u: float, v: float) -> Enlarged:
-    """Turn the wheel over a pixel of the main picture."""
+    """Enlarge the main picture four times about a pixel, with the wheel."""
     before = Enlarged(page, u, v)
     page.mouse.move(before.x, before.y)
     page.mouse.wheel(0, WHEEL_OF_FOUR)
@@ -93,7 +93,7 @@ def test_a_keypoint_is_dragged_exactly_while_the_picture_is_enlarged(page, serve
 
 
 @pytest.mark.parametrize("way", ["middle button", "space"])
-def test_panning_takes_the_pixel_along_and_picks_nothing(page, served_page, way: str) -> None:
+def test_panning_moves_the_pixel_with_the_pointer_and_picks_nothing(page, served_page, way: str) -> None:
     opened(page, served_page.url)
     seen = enlarged(page, 60.0, 50.0)
     x, y = seen.place(60, 50)
@@ -114,7 +114,7 @@ def test_panning_takes_the_pixel_along_and_picks_nothing(page, served_page, way:
     np.testing.assert_allclose([mark.u, mark.v], seen.pixel(x, y), atol=0.051)
 
 
-def test_the_picture_is_never_panned_out_of_its_view_and_zoom_ends_where_all_of_it_is_shown(page, served_page) -> None:
+def test_the_picture_stays_in_its_view_and_zooming_out_ends_at_the_whole_picture(page, served_page) -> None:
     opened(page, served_page.url)
     seen = enlarged(page, 60.0, 50.0)
     page.mouse.down(button="middle")
@@ -130,7 +130,7 @@ def test_the_picture_is_never_panned_out_of_its_view_and_zoom_ends_where_all_of_
     np.testing.assert_allclose([mark.u, mark.v], [30, 40], atol=0.051)
 
 
-def test_keys_enlarge_about_the_cross_which_stays_in_sight_and_zero_shows_all(page, served_page) -> None:
+def test_keys_zoom_about_the_cross_which_stays_visible_and_zero_shows_the_whole_picture(page, served_page) -> None:
     opened(page, served_page.url)
     page.locator("#main-view canvas").focus()
     page.keyboard.press("ArrowRight")
@@ -153,7 +153,7 @@ def test_keys_enlarge_about_the_cross_which_stays_in_sight_and_zero_shows_all(pa
     playwright.expect(page.locator("#main-view .zoom")).to_be_hidden()
 
 
-def test_another_frame_of_the_camera_keeps_the_zoom_and_another_recording_shows_all(page, served_page) -> None:
+def test_another_frame_of_the_camera_keeps_the_zoom_and_another_recording_resets_it(page, served_page) -> None:
     opened(page, served_page.url)
     frame_in(page, 0, "a", 1)
     enlarged(page, 60.0, 50.0)
@@ -163,7 +163,7 @@ def test_another_frame_of_the_camera_keeps_the_zoom_and_another_recording_shows_
     assert page.evaluate("() => views[0].viewport.zoom") == 1
 
 
-def test_the_loupe_shows_the_very_pixel_that_a_click_would_keep(page, served_page) -> None:
+def test_the_loupe_shows_the_pixel_that_a_click_picks(page, served_page) -> None:
     opened(page, served_page.url)
     frame_in(page, 0, "b", 1)
     data = np.frombuffer(served_page.desk.gallery.picture(frame("b", 1)), np.uint8)
@@ -181,7 +181,7 @@ def test_the_loupe_shows_the_very_pixel_that_a_click_would_keep(page, served_pag
 
 @pytest.fixture
 def touched(browser, served_page) -> Iterator[object]:
-    """The page on a screen that can be touched."""
+    """The page on a touch screen."""
     page = browser.new_page(viewport={"width": 1400, "height": 860}, has_touch=True)
     opened(page, served_page.url)
     yield page
@@ -189,7 +189,7 @@ def touched(browser, served_page) -> Iterator[object]:
 
 
 class Fingers:
-    """Fingers on the screen, as Chromium hears of them."""
+    """Fingers on the screen, through Chromium's DevTools protocol."""
 
     def __init__(self, page) -> None:
         self.session = page.context.new_cdp_session(page)
@@ -199,7 +199,7 @@ class Fingers:
         self.session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": fingers})
 
 
-def test_two_fingers_enlarge_about_what_is_between_them_and_a_tap_picks_exactly(touched, served_page) -> None:
+def test_two_fingers_zoom_about_their_midpoint_and_a_tap_picks_exactly(touched, served_page) -> None:
     fingers, seen = Fingers(touched), Enlarged(touched, 60.0, 50.0)
     x, y = seen.x, seen.y
     fingers.send("touchStart", (x - 30, y))
@@ -225,5 +225,5 @@ def test_one_finger_pans_an_enlarged_picture_and_picks_nothing(touched, served_p
         fingers.send("touchMove", (seen.x + step, seen.y))
     fingers.send("touchEnd")
     moved = touched.evaluate("() => views[0].viewport.x") - before
-    assert 45 <= moved <= 60  # What it takes to be told from a tap is not panned.
+    assert 45 <= moved <= 60  # The distance that distinguishes a drag from a tap is not panned.
     assert served_page.desk.draft.marks == ()

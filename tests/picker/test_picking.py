@@ -33,7 +33,7 @@ pytest.importorskip("starlette")
 
 
 class Page(Served):
-    """The page of `reference --pick` in this process, as the command opens it."""
+    """The page of `reference --pick`, served in this process as by the command."""
 
     def __init__(self, dataset: Dataset, variant: str = "main", **options: object) -> None:
         parameters = dataset.root / "params.yaml"
@@ -41,14 +41,14 @@ class Page(Served):
 
         def planned(values: dict):
             config = load_config(parameters if parameters.exists() else None, [], STAGES)
-            given = {**options, **values}
-            [task] = plan(dataset, reference, config=config, options=given, variant=variant, variant_inputs=inputs)
+            requested = {**options, **values}
+            [task] = plan(dataset, reference, config=config, options=requested, variant=variant, variant_inputs=inputs)
             return task
 
-        self.told_person: list[str] = []
+        self.notes: list[str] = []
         picking = Picking(dataset, planned, parameters, "bask-data encode", inputs)
         self.outcomes: list = []
-        self.run(lambda: self.outcomes.extend(pick_keypoints(picking, say=self.told_person.append, opened=self.open)))
+        self.run(lambda: self.outcomes.extend(pick_keypoints(picking, say=self.notes.append, opened=self.open)))
 
     def __enter__(self) -> Page:
         return self
@@ -68,15 +68,15 @@ def dataset(filled, tmp_path) -> Dataset:
 
 
 def click(page: Page, recording: str = "a", u: float = 40.0, v: float = 50.0, **more: object) -> dict:
-    return page.told("edit", do="add", at={"frame": [recording, "wrist", 1], "u": u, "v": v}, **more)
+    return page.answer("edit", do="add", at={"frame": [recording, "wrist", 1], "u": u, "v": v}, **more)
 
 
-def test_what_is_saved_is_made_by_the_stage_and_stays_up_to_date(dataset) -> None:
+def test_saved_keypoints_are_made_by_the_stage_and_are_up_to_date(dataset) -> None:
     with Page(dataset, "hand") as page:
         click(page, name="rim")
         click(page, "lift", 60.5)
-        found = page.told("save")
-    assert (found["told"], found["next"]) == ("2 keypoints saved as reference/hand", "bask-data encode")
+        found = page.answer("save")
+    assert (found["summary"], found["next"]) == ("2 keypoints saved as reference/hand", "bask-data encode")
     assert [outcome.status for outcome in page.outcomes] == ["made"]
     kept = ReferenceKeypoints(dataset.path(ReferenceKeypoints, variant="hand"))
     assert [(pick.name, pick.recording, pick.u) for pick in kept.picks] == [
@@ -88,23 +88,23 @@ def test_what_is_saved_is_made_by_the_stage_and_stays_up_to_date(dataset) -> Non
     assert yaml.safe_load((dataset.root / "params.yaml").read_text()) == {
         "reference@hand": {"auto": False, "picks": kept.manifest.params["picks"]}
     }
-    # As `status` and `run` ask for it.
+    # With the parameters that `status` and `run` use.
     config = load_config(dataset.root / "params.yaml", [], STAGES)
     [task] = plan(Dataset(dataset.root), reference, config=config, variant="hand")
     assert state_of(task).status == "up to date"
     assert not list((dataset.root / SCRATCH).glob("picks*.json"))
 
 
-def test_saved_keypoints_are_where_the_next_time_begins(dataset) -> None:
+def test_the_next_draft_begins_with_the_saved_keypoints(dataset) -> None:
     with Page(dataset) as page:
         click(page, name="rim")
-        page.told("save")
+        page.answer("save")
     with Page(dataset) as page:
-        found = page.told("start")
+        found = page.answer("start")
         assert [mark["name"] for mark in found["marks"]] == ["rim"]
-        assert page.told_person == []
+        assert page.notes == []
         click(page)
-        page.told("save")
+        page.answer("save")
     assert ReferenceKeypoints(dataset.path(ReferenceKeypoints)).names == ["rim", "point_1"]
 
 
@@ -114,28 +114,28 @@ def test_unsaved_keypoints_survive_the_end_of_the_command(dataset) -> None:
         click(page, "b")
     assert page.outcomes == []
     with Page(dataset) as page:
-        assert page.told_person == ["going on with 2 unsaved keypoints of last time"]
-        assert [mark["recording"] for mark in page.told("edit", do="undo")["marks"]] == ["a"]
+        assert page.notes == ["restored 2 unsaved keypoints"]
+        assert [mark["recording"] for mark in page.answer("edit", do="undo")["marks"]] == ["a"]
     assert not dataset.path(ReferenceKeypoints).exists()
 
 
-def test_proposals_are_a_start_if_they_are_wanted(dataset) -> None:
+def test_auto_begins_the_draft_with_proposals(dataset) -> None:
     without_objects(dataset, "a")
     with Page(dataset, auto=True, n=3) as page:
-        found = page.told("start")
+        found = page.answer("start")
         assert [(mark["recording"], mark["name"]) for mark in found["marks"]] == [
             ("b", "object_1_0"),
             ("b", "object_2_0"),
             ("b", "object_3_0"),
         ]
-        assert page.told("edit", do="undo")["marks"] == []
+        assert page.answer("edit", do="undo")["marks"] == []
         status, text = page.ask("propose", scene="lift", n=2)
-        assert (status, "propose: scene: expected a scan whose objects are known, got lift" in text.decode()) == (
+        assert (status, "propose: scene: expected a scan with masks of its objects, got lift" in text.decode()) == (
             400,
             True,
         )
-        page.told("propose", scene="b", n=2)
-        page.told("save")
+        page.answer("propose", scene="b", n=2)
+        page.answer("save")
     kept = ReferenceKeypoints(dataset.path(ReferenceKeypoints))
     assert [pick.instance for pick in kept.picks] == [1, 2]
     assert kept.manifest.params["auto"] is False
@@ -145,7 +145,7 @@ def test_proposals_are_a_start_if_they_are_wanted(dataset) -> None:
 @pytest.mark.parametrize(
     ("job", "label", "n_done"), [("propose", "choosing keypoints", 0), ("save", "describing keypoints", 1)]
 )
-def test_proposing_and_saving_tell_their_steps(dataset, job: str, label: str, n_done: int) -> None:
+def test_proposing_and_saving_report_their_progress(dataset, job: str, label: str, n_done: int) -> None:
     reached, looked_at = threading.Event(), threading.Event()
 
     def held(at: str, done: int, total: int | None) -> None:
@@ -160,10 +160,10 @@ def test_proposing_and_saving_tell_their_steps(dataset, job: str, label: str, n_
         try:
             working = executor.submit(page.ask, job, **({"scene": "b", "n": 3} if job == "propose" else {}))
             assert reached.wait(60)
-            state = page.told("progress")["job"]
+            state = page.answer("progress")["job"]
             assert (state["name"], state["label"], state["done"]) == (job, label, n_done)
             assert state["can_cancel"] == (job == "propose")
-            page.told("cancel")
+            page.answer("cancel")
         finally:
             listen(None)
             looked_at.set()
@@ -174,7 +174,10 @@ def test_proposing_and_saving_tell_their_steps(dataset, job: str, label: str, n_
 
 
 def test_two_pages_at_once_are_refused(dataset) -> None:
-    with Page(dataset), pytest.raises(UsageError, match="--pick: main: expected one page at a time, got another"):
+    with (
+        Page(dataset),
+        pytest.raises(UsageError, match="--pick: main: expected no other page for this variant, got one that is open"),
+    ):
         pick_keypoints(
             Picking(dataset, lambda values: plan(dataset, reference, options=values)[0], dataset.root / "p", ""),
             say=print,
@@ -182,26 +185,26 @@ def test_two_pages_at_once_are_refused(dataset) -> None:
         )
 
 
-def test_what_lacks_for_saving_is_said_on_the_page(dataset) -> None:
+def test_an_input_missing_for_saving_is_reported_on_the_page(dataset) -> None:
     shutil.rmtree(dataset.path(VisibleMasks, "a"))
     with Page(dataset) as page:
         click(page)
         status, text = page.ask("save")
         assert (status, "expected to be made, got masks/a is missing" in json.loads(text)["error"]) == (400, True)
-        assert len(page.told("start")["marks"]) == 1
+        assert len(page.answer("start")["marks"]) == 1
     assert not (dataset.root / "params.yaml").exists()
 
 
 def test_parameters_that_cannot_be_written_leave_the_artifact_as_it_was(dataset) -> None:
     with Page(dataset, "hand") as page:
         click(page, name="rim")
-        page.told("save")
+        page.answer("save")
         (dataset.root / "params.yaml").unlink()
         (dataset.root / "params.yaml").mkdir()
         click(page, name="knob")
         status, text = page.ask("save")
         assert (status, "params.yaml: expected YAML, got" in json.loads(text)["error"]) == (400, True)
-        assert len(page.told("start")["marks"]) == 2
+        assert len(page.answer("start")["marks"]) == 2
     assert ReferenceKeypoints(dataset.path(ReferenceKeypoints, variant="hand")).names == ["rim"]
     (dataset.root / "params.yaml").rmdir()
 
@@ -209,7 +212,7 @@ def test_parameters_that_cannot_be_written_leave_the_artifact_as_it_was(dataset)
 def test_parameters_are_as_they_were_if_the_artifact_cannot_be_made(dataset) -> None:
     with Page(dataset) as page:
         click(page, name="rim")
-        page.told("save")
+        page.answer("save")
         before = (dataset.root / "params.yaml").read_bytes()
         click(page, name="knob")
         shutil.rmtree(dataset.path(VisibleMasks, "a"))
@@ -224,7 +227,7 @@ def test_ctrl_c_ends_as_finish_does_once_something_was_saved(dataset, monkeypatc
         desk.edit(EditRequest(do="add", at=at))
         if is_saved:
             desk.save(EmptyRequest())
-        raise KeyboardInterrupt  # What the server's signal becomes, where whoever started the tests does not ignore it.
+        raise KeyboardInterrupt  # As the server on Ctrl-C; the process of the tests may ignore a real signal.
 
     monkeypatch.setattr("bask_data.picker.serve", interrupted)
     ended = CliRunner().invoke(app, ["reference", str(dataset.root), "--pick", "--no-browser"])
@@ -246,13 +249,13 @@ def picked(dataset: Dataset, **options: object) -> None:
     pick_keypoints(picking, say=print, opened=print)
 
 
-def test_without_a_network_it_says_what_to_do(dataset) -> None:
+def test_a_missing_network_is_reported_with_a_fix(dataset) -> None:
     shutil.rmtree(dataset.path(DescriptorNet))
     with pytest.raises(BadData, match=r"descriptor/main: expected a network, got none.  fix: bask-data train"):
         picked(dataset)
 
 
-def test_without_recordings_it_says_what_to_do(tmp_path: Path) -> None:
+def test_missing_recordings_are_reported_with_a_fix(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"expected a recording, got none in the dataset.  fix: bask-data ingest"):
         picked(Dataset.create(tmp_path / "empty"))
 
@@ -260,7 +263,7 @@ def test_without_recordings_it_says_what_to_do(tmp_path: Path) -> None:
 def test_without_objects_there_is_nothing_to_propose(dataset) -> None:
     for name in ("a", "b"):
         without_objects(dataset, name)
-    with pytest.raises(UsageError, match="--auto: expected a scan whose objects are known, got none"):
+    with pytest.raises(UsageError, match="--auto: expected a scan with masks of its objects, got none"):
         picked(dataset, auto=True)
 
 
@@ -272,6 +275,6 @@ def test_without_objects_there_is_nothing_to_propose(dataset) -> None:
         (["--pick", "--port", "70000"], "--port: expected a whole number of at least 0 and at most 65535, got '70000'"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(dataset, options: list[str], message: str) -> None:
+def test_options_that_exclude_each_other_are_refused(dataset, options: list[str], message: str) -> None:
     ended = CliRunner().invoke(app, ["reference", str(dataset.root), *options])
     assert (ended.exit_code, message in ended.stderr) == (2, True), ended.stderr

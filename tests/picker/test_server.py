@@ -56,7 +56,7 @@ def standing(recordings, tmp_path_factory) -> Iterator[Served]:
 
 @pytest.fixture
 def served(standing, recordings, tmp_path) -> Served:
-    """A server with a new desk; to start one for each test would take most of the time."""
+    """The running server with a new desk: starting one for each test would take most of the time."""
     standing.desk.__dict__.update(new_desk(recordings, tmp_path).__dict__)
     SAVED.clear()
     return standing
@@ -65,7 +65,7 @@ def served(standing, recordings, tmp_path) -> Served:
 AT = {"frame": ["a", "wrist", 0], "u": 40.0, "v": 50.0}
 
 
-def test_the_page_brings_all_it_needs_and_forbids_the_rest(served) -> None:
+def test_the_page_includes_all_it_needs_and_forbids_the_rest(served) -> None:
     status, text = served.request("GET", f"/?token={served.token}")
     assert status == 200
     policy = served.headers["Content-Security-Policy"]
@@ -152,12 +152,12 @@ def test_hostile_requests_are_refused(served, case: str) -> None:
     headers = {name: value.format(**known) for name, value in headers.items()}
     status, text = served.request(method, path.format(**known), b"{}" if method == "POST" else None, **headers)
     assert status == 403
-    assert text == b"Refused. Open the link that bask-data printed.\n"
+    assert text == b"Refused. Open the URL that bask-data printed.\n"
     assert served.desk.draft.marks == ()
 
 
-def test_a_request_that_nothing_is_wrong_with_is_answered(served) -> None:
-    # The cases above differ from these in one thing each.
+def test_requests_of_the_page_are_answered(served) -> None:
+    # Each hostile request differs from one of these in a single property.
     assert served.request("GET", f"/?token={served.token}", Host=f"localhost:{served.port}")[0] == 200
     assert served.request("POST", "/api/start", b"{}", **served.headers_of_page)[0] == 200
 
@@ -180,7 +180,7 @@ def test_a_request_that_nothing_is_wrong_with_is_answered(served) -> None:
         "/docs",
     ],
 )
-def test_even_with_the_token_there_is_nothing_else_to_be_had(served, path: str) -> None:
+def test_even_with_the_token_no_other_path_is_served(served, path: str) -> None:
     assert served.request("POST", path, b"{}", **served.headers_of_page)[0] in (403, 404)
     assert served.request("GET", path, **served.headers_of_page)[0] in (403, 404)
 
@@ -202,18 +202,18 @@ def test_a_websocket_is_never_opened(served) -> None:
         (b"GET /?token=%s HTTP/1.1\r\nHost: %s\r\nX: " + b"a" * 200000 + b"\r\n\r\n", 400),
         (b"GET /" + b"a" * 200000 + b"?token=%s HTTP/1.1\r\nHost: %s\r\n\r\n", 400),
         (b"GET /?token=%s HTTP/1.1\r\nHost: %s\r\nHost: evil.example\r\n\r\n", 400),
-        (b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03 no http at all\r\n\r\n", 400),
+        (b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03 not HTTP\r\n\r\n", 400),
         (b"GET /?token=%s HTTP/1.1\r\n\r\n", 400),
     ],
-    ids=["large header", "long address", "two hosts", "no http", "no host"],
+    ids=["large header", "long address", "two hosts", "not HTTP", "no host"],
 )
-def test_what_is_no_proper_request_is_refused(served, text: bytes, status: int) -> None:
+def test_malformed_requests_are_refused(served, text: bytes, status: int) -> None:
     filled = text.replace(b"%s", served.token.encode(), 1).replace(b"%s", served.host.encode(), 1)
     assert served.raw(filled) in (status, 0)
-    assert served.told("start")["title"] == "table"
+    assert served.answer("start")["title"] == "table"
 
 
-def test_large_bodies_are_refused_whether_they_say_so_or_not(served) -> None:
+def test_large_bodies_are_refused_with_and_without_a_stated_length(served) -> None:
     body = json.dumps({"do": "add", "name": "x" * MOST_BODY_BYTES}).encode()
     assert served.request("POST", "/api/edit", body, **served.headers_of_page)[0] == 413
     pieces = (body[i : i + 1000] for i in range(0, len(body), 1000))
@@ -235,7 +235,7 @@ def test_large_bodies_are_refused_whether_they_say_so_or_not(served) -> None:
         ("edit", b'{"do": "add", "at": {"frame": ["a", "wrist", 0], "u": NaN, "v": 1}}', "expected "),
         ("edit", b'{"do": "add", "at": {"frame": ["a", "wrist", 0], "u": 1e9, "v": 1}}', "pixel: expected u 0..127"),
         ("edit", b'{"do": "add", "at": {"frame": ["../a", "wrist", 0], "u": 1, "v": 1}}', "expected a frame of"),
-        ("edit", b'{"do": "rename", "name": "none", "new_name": "x"}', "name: expected that of a keypoint"),
+        ("edit", b'{"do": "rename", "name": "none", "new_name": "x"}', "name: expected the name of a keypoint"),
         ("picture", b'{"frame": ["../../etc", "passwd", 0]}', "frame: expected a frame of the dataset"),
         ("picture", b'{"frame": ["a", "wrist", 10000000000000000000000]}', "expected "),
         ("describe", b'{"frame": ["a"]}', "frame"),
@@ -246,7 +246,7 @@ def test_large_bodies_are_refused_whether_they_say_so_or_not(served) -> None:
         ("save", b"{}", "save: expected a keypoint, got none.  fix: click on one first."),
     ],
 )
-def test_what_makes_no_sense_is_said_to_make_none(served, name: str, body: bytes, message: str) -> None:
+def test_invalid_requests_are_refused_with_a_reason(served, name: str, body: bytes, message: str) -> None:
     status, text = served.request("POST", f"/api/{name}", body, **served.headers_of_page)
     assert status == 400
     assert message in json.loads(text)["error"]
@@ -261,35 +261,35 @@ def test_only_json_is_read(served) -> None:
 
 
 @pytest.mark.parametrize("content_type", ["application/json; charset=utf-8", "Application/JSON;charset=UTF-8"])
-def test_json_may_say_its_encoding(served, content_type: str) -> None:
+def test_json_may_state_its_encoding(served, content_type: str) -> None:
     headers = {**served.headers_of_page, "Content_Type": content_type}
     assert served.request("POST", "/api/start", b"{}", **headers)[0] == 200
 
 
-def test_keypoints_are_made_moved_named_and_taken_away(served) -> None:
-    served.told("edit", do="add", at=AT)
-    served.told("edit", do="add", at={**AT, "u": 60.126}, name="rim")
-    served.told("edit", do="move", name="point_1", at={**AT, "v": 51.0})
-    found = served.told("edit", do="rename", name="point_1", new_name="knob")
+def test_keypoints_are_added_moved_renamed_and_deleted(served) -> None:
+    served.answer("edit", do="add", at=AT)
+    served.answer("edit", do="add", at={**AT, "u": 60.126}, name="rim")
+    served.answer("edit", do="move", name="point_1", at={**AT, "v": 51.0})
+    found = served.answer("edit", do="rename", name="point_1", new_name="knob")
     assert [(mark["name"], mark["u"], mark["v"]) for mark in found["marks"]] == [
         ("knob", 40.0, 51.0),
         ("rim", 60.1, 50.0),
     ]
     assert (found["can_undo"], found["can_redo"], found["is_saved"]) == (True, False, False)
-    assert [mark["name"] for mark in served.told("edit", do="delete", name="knob")["marks"]] == ["rim"]
-    assert served.told("edit", do="clear")["marks"] == []
-    served.told("edit", do="undo")
-    served.told("edit", do="undo")
-    assert len(served.told("edit", do="undo")["marks"]) == 2
-    assert served.told("edit", do="redo")["marks"][0]["name"] == "knob"
+    assert [mark["name"] for mark in served.answer("edit", do="delete", name="knob")["marks"]] == ["rim"]
+    assert served.answer("edit", do="clear")["marks"] == []
+    served.answer("edit", do="undo")
+    served.answer("edit", do="undo")
+    assert len(served.answer("edit", do="undo")["marks"]) == 2
+    assert served.answer("edit", do="redo")["marks"][0]["name"] == "knob"
     elsewhere = {**AT, "frame": ["b", "wrist", 0]}
     status, text = served.ask("edit", do="move", name="knob", at=elsewhere)
     assert (status, "expected a pixel of the keypoint's own frame" in text.decode()) == (400, True)
 
 
-def test_heat_maps_hold_the_distances_of_the_frames_that_are_described(served) -> None:
+def test_heat_maps_hold_the_distances_in_frames_with_descriptors(served) -> None:
     frames = [["a", "wrist", 0], ["a", "wrist", 1], ["lift", "wrist", 0], ["a", "wrist", 0]]
-    served.told("describe", frame=frames[1])
+    served.answer("describe", frame=frames[1])
     status, answer = served.ask("heat", at=AT, frames=frames)
     assert status == 200
     [length] = struct.unpack("<I", answer[:4])
@@ -298,46 +298,46 @@ def test_heat_maps_hold_the_distances_of_the_frames_that_are_described(served) -
     gallery = served.desk.gallery
     descriptor = gallery.descriptor_at(frame("a", 0), 40.0, 50.0)
     offset = 4 + length
-    for (_, _, i), one in zip(frames, header["maps"], strict=True):
-        if one is None:
+    for (_, _, i), heat in zip(frames, header["maps"], strict=True):
+        if heat is None:
             continue
         expected = gallery.find(descriptor, frame("a", i))
-        n = one["size"][0] * one["size"][1]
-        codes = np.frombuffer(answer[offset : offset + n], np.uint8).reshape(one["size"])
+        n = heat["size"][0] * heat["size"][1]
+        codes = np.frombuffer(answer[offset : offset + n], np.uint8).reshape(heat["size"])
         offset += n
         np.testing.assert_allclose(header["scale"] * (codes / 255) ** 2, expected.z, atol=0.005 * header["scale"])
-        assert one["best"] == list(expected.best)
-        assert one["z"] == pytest.approx(expected.z_best)
+        assert heat["best"] == list(expected.best)
+        assert heat["z"] == pytest.approx(expected.z_best)
     assert offset == len(answer)
     np.testing.assert_allclose(header["maps"][0]["place"], [40.0, 50.0], atol=1e-6)
 
 
-def test_all_keypoints_are_looked_for_in_the_frames_that_are_described(served) -> None:
-    served.told("edit", do="add", at={**AT, "u": 40.5, "v": 50.5})
-    served.told("edit", do="add", at={**AT, "u": 60.5, "v": 30.5})
-    found = served.told("matches", frames=[["a", "wrist", 0], ["b", "wrist", 0]])
+def test_all_keypoints_are_searched_in_frames_with_descriptors(served) -> None:
+    served.answer("edit", do="add", at={**AT, "u": 40.5, "v": 50.5})
+    served.answer("edit", do="add", at={**AT, "u": 60.5, "v": 30.5})
+    found = served.answer("matches", frames=[["a", "wrist", 0], ["b", "wrist", 0]])
     assert found["names"] == ["point_1", "point_2"]
     own, other = found["frames"]
     np.testing.assert_allclose(own, [[40.5, 50.5, 0], [60.5, 30.5, 0]], atol=2e-3)
     assert other is None
-    served.told("edit", do="move", name="point_1", at={**AT, "u": 20.5, "v": 50.5})
-    [own] = served.told("matches", frames=[["a", "wrist", 0]])["frames"]
+    served.answer("edit", do="move", name="point_1", at={**AT, "u": 20.5, "v": 50.5})
+    [own] = served.answer("matches", frames=[["a", "wrist", 0]])["frames"]
     np.testing.assert_allclose(own[0], [20.5, 50.5, 0], atol=2e-3)
 
 
-def test_pictures_are_sent_as_they_are(served) -> None:
+def test_pictures_are_sent_as_jpeg(served) -> None:
     status, data = served.ask("picture", frame=["lift", "wrist", 1])
     assert (status, data[:3]) == (200, b"\xff\xd8\xff")
     assert served.headers["X-Content-Type-Options"] == "nosniff"
 
 
 def test_proposals_are_one_step(served) -> None:
-    found = served.told("propose", scene="a", n=3)
+    found = served.answer("propose", scene="a", n=3)
     assert [mark["name"] for mark in found["marks"]] == ["object_1_0", "object_1_0_2", "object_1_0_3"]
-    assert served.told("edit", do="undo")["marks"] == []
+    assert served.answer("edit", do="undo")["marks"] == []
 
 
-def test_proposing_tells_how_far_it_is_refuses_a_second_job_and_can_be_cancelled(served, monkeypatch) -> None:
+def test_proposing_reports_progress_refuses_a_second_job_and_can_be_cancelled(served, monkeypatch) -> None:
     stepping, reached = threading.Event(), threading.Event()
 
     def slow(scene: str, n: int) -> list[KeypointMark]:
@@ -345,14 +345,14 @@ def test_proposing_tells_how_far_it_is_refuses_a_second_job_and_can_be_cancelled
             reached.set()
             if i == 2:
                 assert stepping.wait(30)
-        raise AssertionError("it goes on after it was cancelled")
+        raise AssertionError("the job went on after it was cancelled")
 
     monkeypatch.setattr(served.desk, "_propose", slow)
-    assert served.told("progress") == {"job": None}
+    assert served.answer("progress") == {"job": None}
     with ThreadPoolExecutor() as executor:
-        proposing = executor.submit(served.told, "propose", scene="a", n=8)
+        proposing = executor.submit(served.answer, "propose", scene="a", n=8)
         assert reached.wait(30)
-        while (job := served.told("progress")["job"])["done"] < 2:
+        while (job := served.answer("progress")["job"])["done"] < 2:
             pass
         assert (job["name"], job["label"], job["total"], job["can_cancel"]) == (
             "propose",
@@ -361,50 +361,50 @@ def test_proposing_tells_how_far_it_is_refuses_a_second_job_and_can_be_cancelled
             True,
         )
         assert job["seconds"] >= 0 and job["seconds_left"] >= 0
-        assert served.told("start")["job"]["name"] == "propose"
-        # Work on the draft goes on meanwhile.
-        served.told("edit", do="add", at=AT)
+        assert served.answer("start")["job"]["name"] == "propose"
+        # The draft can be edited meanwhile.
+        served.answer("edit", do="add", at=AT)
         for name, body in (("propose", {"scene": "a", "n": 1}), ("save", {})):
             status, text = served.ask(name, **body)
             assert (status, f"{name}: expected no other job, got propose" in text.decode()) == (400, True)
-        assert served.told("cancel")["job"]["is_cancelled"]
+        assert served.answer("cancel")["job"]["is_cancelled"]
         stepping.set()
         answer = proposing.result(30)
     assert (answer["is_cancelled"], len(answer["marks"])) == (True, 1)
-    assert served.told("progress") == {"job": None}
+    assert served.answer("progress") == {"job": None}
 
 
-def test_saving_says_what_it_made_and_a_change_after_it_is_unsaved(served) -> None:
-    served.told("edit", do="add", at=AT)
-    found = served.told("save")
-    assert (found["told"], found["next"], found["is_saved"]) == ("1 saved", "bask-data encode", True)
+def test_saving_reports_its_result_and_a_later_change_is_unsaved(served) -> None:
+    served.answer("edit", do="add", at=AT)
+    found = served.answer("save")
+    assert (found["summary"], found["next"], found["is_saved"]) == ("1 saved", "bask-data encode", True)
     assert [len(marks) for marks in SAVED] == [1]
-    assert served.told("edit", do="add", at=AT)["is_saved"] is False
-    assert served.told("edit", do="undo")["is_saved"] is True
+    assert served.answer("edit", do="add", at=AT)["is_saved"] is False
+    assert served.answer("edit", do="undo")["is_saved"] is True
 
 
-def test_what_cannot_be_saved_is_said_and_kept(served) -> None:
-    served.told("edit", do="add", at=AT, name="broken")
+def test_keypoints_that_cannot_be_saved_are_kept_and_the_error_is_shown(served) -> None:
+    served.answer("edit", do="add", at=AT, name="broken")
     status, text = served.ask("save")
     assert (status, json.loads(text)["error"]) == (400, "reference: picks: expected better ones, got these.")
-    assert len(served.told("start")["marks"]) == 1
+    assert len(served.answer("start")["marks"]) == 1
 
 
-def test_start_tells_what_there_is(served) -> None:
-    found = served.told("start")
+def test_start_lists_recordings_title_and_marks(served) -> None:
+    found = served.answer("start")
     assert found["recordings"][0]["cameras"][0] == {"name": "wrist", "n_frames": 4, "width": WIDTH, "height": HEIGHT}
     assert (found["title"], found["marks"]) == ("table", [])
 
 
-def test_a_port_that_is_taken_is_said() -> None:
+def test_a_port_in_use_is_reported() -> None:
     with listen(0) as first:
         port = first.getsockname()[1]
         assert first.getsockname()[0] == "127.0.0.1"
-        with pytest.raises(UsageError, match=rf"--port: expected port {port} to be free, got .*give another --port"):
+        with pytest.raises(UsageError, match=rf"--port: expected port {port} to be free, got .*choose another --port"):
             listen(port)
 
 
-def test_without_the_packages_it_says_how_to_get_them(monkeypatch, served) -> None:
+def test_missing_packages_are_reported_with_how_to_install_them(monkeypatch, served) -> None:
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     with pytest.raises(MissingDependency, match=r"uvicorn: expected a web server.*pip install 'bask-data\[pick\]'"):
         serve(served.desk, 0, opened=print)

@@ -1,23 +1,24 @@
-// Which frames are shown: their pictures, their descriptors, and which are suggested for the other views.
+// Frames: their pictures, their descriptors, and suggestions for the other views.
 
-// A frame of a recording's first camera, at a share of its length.
+// A frame of a recording's first camera, at a share of its duration.
 function opening(name, share) {
-  const camera = state.recordings.find((one) => one.name === name).cameras[0];
+  const camera = state.recordings.find((recording) => recording.name === name).cameras[0];
   return [name, camera.name, Math.round(share * (camera.n_frames - 1))];
 }
 
-// The recordings as options, scans apart from demonstrations.
+// Option groups of the recordings: scans and demonstrations.
 function groups() {
   return [["Scans", "scene"], ["Demonstrations", "demonstration"]].map(([label, scope]) => {
     const group = document.createElement("optgroup");
     group.label = label;
-    group.append(...state.recordings.filter((one) => one.scope === scope).map((one) => new Option(one.name)));
+    const recordings = state.recordings.filter((recording) => recording.scope === scope);
+    group.append(...recordings.map((recording) => new Option(recording.name)));
     return group;
   }).filter((group) => group.children.length);
 }
 
-// Pictures are kept as long as they are likely to be asked for again.
-const MOST_PICTURES = 60; // 640x480 take 1.2 MB each; those of a page are seven
+// Cached pictures.
+const MOST_PICTURES = 60; // 1.2 MB each at 640x480; a page shows at most nine
 const pictures = new Map();
 async function pictureOf(frame) {
   const name = key(frame);
@@ -29,7 +30,7 @@ async function pictureOf(frame) {
   return pictures.get(name);
 }
 
-// One after the other: the network is busy with one at a time, and what nobody looks at any more need not be described.
+// Frames are described one after the other, as the network handles one at a time; those no longer shown are skipped.
 let describing = Promise.resolve();
 function described(frame, isWanted) {
   const done = describing.then(() => (isWanted() ? call("describe", { frame }) : null));
@@ -37,34 +38,34 @@ function described(frame, isWanted) {
   return done;
 }
 
-// What resembles a recording most by its name is most likely of the same objects.
+// Frames for the other views. Recordings with similar names most likely show the same objects.
 function suggested(main, turn) {
-  const alike = (name) => {
+  const similarity = (name) => {
     let i = 0;
     while (i < name.length && name[i] === main[0][i]) i++;
     return i;
   };
-  const others = state.recordings.filter((one) => one.name !== main[0]);
-  others.sort((a, b) => alike(b.name) - alike(a.name));
+  const others = state.recordings.filter((recording) => recording.name !== main[0]);
+  others.sort((a, b) => similarity(b.name) - similarity(a.name));
   const rotate = (list) => list.map((_, i) => list[(i + 2 * turn) % list.length]);
-  const scans = rotate(others.filter((one) => one.scope === "scene"));
-  const demonstrations = rotate(others.filter((one) => one.scope === "demonstration"));
+  const scans = rotate(others.filter((recording) => recording.scope === "scene"));
+  const demonstrations = rotate(others.filter((recording) => recording.scope === "demonstration"));
   const cameras = camerasOf(main);
   const first = cameras.indexOf(cameraOf(main));
   const shown = new Set([key(main)]);
   const shares = [0.37, 0.71, 0.18, 0.55, 0.9, 0.27, 0.45, 0.82].map((share) => (share + 0.13 * turn) % 1);
-  // All cameras in turn; another frame than those already there, as long as there is one.
+  // A frame of the same recording, its cameras in turn; none twice unless all are shown.
   const own = (i) => {
     const { name, n_frames } = cameras[(first + i + 1) % cameras.length];
     const start = main[2] + 1 + Math.floor(shares[i] * (n_frames - 1));
-    const tried = Array.from({ length: n_frames }, (_, more) => [main[0], name, (start + more) % n_frames]);
-    const frame = tried.find((one) => !shown.has(key(one))) || tried[0];
+    const candidates = Array.from({ length: n_frames }, (_, more) => [main[0], name, (start + more) % n_frames]);
+    const frame = candidates.find((candidate) => !shown.has(key(candidate))) || candidates[0];
     shown.add(key(frame));
     return frame;
   };
-  const at = (one, i) => {
-    const seen = one.cameras[i % one.cameras.length];
-    return [one.name, seen.name, Math.round(shares[i % shares.length] * (seen.n_frames - 1))];
+  const at = (recording, i) => {
+    const camera = recording.cameras[i % recording.cameras.length];
+    return [recording.name, camera.name, Math.round(shares[i % shares.length] * (camera.n_frames - 1))];
   };
   const frames = [own(0), own(1)];
   const rest = [];
@@ -76,14 +77,14 @@ function suggested(main, turn) {
   return [...frames, ...rest].slice(0, N_OTHERS);
 }
 
-// Show other frames beside the main one.
+// Show other frames in the views beside the main one.
 let turn = 0;
 function shuffle() {
   turn += 1;
   suggested(views[0].frame, turn).forEach((frame, i) => views[i + 1].show(frame));
 }
 
-// Keep the frames over a reload.
+// Remember the shown frames across a reload.
 function remember() {
   if (views.length && views.every((view) => view.frame)) {
     sessionStorage.setItem("views", JSON.stringify(views.map((view) => view.frame)));

@@ -1,26 +1,26 @@
 // Heat maps of the point under the pointer, and matches of all keypoints.
 
-const NEAR = 0.04; // of an image's width: a best match within this of the true place is right. The radius of a ring on a
-// view of 200 pixels; counts of right ones depend on it about in proportion for networks that are still being trained.
+const NEAR = 0.04; // share of the image's width: a best match this close to ground truth is an inlier. It is the radius
+// of a ring on a view 200 pixels wide; for partly trained networks the inlier ratio is about proportional to it.
 const COLOURS = [[10, 12, 18, 0.46], [87, 16, 110, 0.55], [188, 55, 84, 0.72], [249, 142, 9, 0.85], [252, 255, 164, 0.95]];
 const heat = { at: null, scale: 1, middle: 1, sharpness: 6 };
 
-// What is looked for: the point under the pointer, or else the chosen keypoint.
+// The pixel to search for: under the pointer, or else of the selected keypoint.
 function wanted() {
   if (hovered) return { frame: hovered.view.frame, u: hovered.u, v: hovered.v };
   const mark = markOf(chosen);
   return mark ? { frame: frameOf(mark), u: mark.u, v: mark.v } : null;
 }
 
-// Set what the pointer is over, {view, u, v} or null.
+// Set the hovered pixel, {view, u, v} or null.
 function hover(at) {
-  const touched = [hovered, at].filter((one) => one).map((one) => one.view);
+  const touched = [hovered, at].filter((place) => place).map((place) => place.view);
   hovered = at;
   askHeat();
   draw(touched);
 }
 
-// Ask for the heat maps of what is looked for, in all views that are shown.
+// Request the heat maps of the wanted pixel for all visible views.
 let isAsking = false;
 let isStale = false;
 async function askHeat() {
@@ -28,10 +28,10 @@ async function askHeat() {
   if (!at) {
     heat.at = null;
     views.forEach((view) => { view.found = null; });
-    show(state.marks.length ? "" : "Move over a picture to see where else the network sees the same.");
+    show(state.marks.length ? "" : "Move over a picture to see its matches in the other pictures.");
     return draw();
   }
-  // Only one request is under way: a pointer moves faster than answers come, and only its last place matters.
+  // One request at a time: the pointer moves faster than answers arrive, and only its last position matters.
   if (isAsking) { isStale = true; return; }
   isAsking = true;
   try {
@@ -44,7 +44,7 @@ async function askHeat() {
   if (isStale) { isStale = false; askHeat(); }
 }
 
-// Take the server's heat maps: the length of a JSON text, the text, and a byte a pixel of each map.
+// Read the server's heat maps: the length of a JSON header, the header, and one byte per pixel of each map.
 function takeHeat(buffer, at, shown, frames) {
   if (!wanted()) return;
   const length = new DataView(buffer).getUint32(0, true);
@@ -52,38 +52,38 @@ function takeHeat(buffer, at, shown, frames) {
   let offset = 4 + length;
   Object.assign(heat, { at, scale: header.scale, middle: header.middle });
   shown.forEach((view, i) => {
-    const found = header.maps[i];
-    if (!found) { if (view.frame === frames[i]) view.found = null; return; }
-    const [height, width] = found.size;
+    const map = header.maps[i];
+    if (!map) { if (view.frame === frames[i]) view.found = null; return; }
+    const [height, width] = map.size;
     const codes = new Uint8Array(buffer, offset, width * height);
     offset += width * height;
-    if (view.frame === frames[i]) view.found = { ...found, width, height, codes, isDrawn: false };
+    if (view.frame === frames[i]) view.found = { ...map, width, height, codes, isDrawn: false };
   });
-  tell(at, shown);
+  summarise(at, shown);
   draw();
 }
 
-// Whether the best match lies where the point truly is.
-function isRight(view) {
+// Whether a view's best match is close to ground truth.
+function isInlier(view) {
   const { best, place } = view.found;
   return Math.hypot(best[0] - place[0], best[1] - place[1]) <= NEAR * view.camera.width;
 }
 
-// Say what is looked for, and in how many views it is found.
-function tell(at, shown) {
+// Show the searched pixel, and how many views match it correctly.
+function summarise(at, shown) {
   if (performance.now() - complainedAt < COMPLAINT_MS) return;
   const known = shown.filter((view) => view.found && view.found.place && !same(view.frame, at.frame));
-  const right = known.filter(isRight).length;
+  const nInliers = known.filter(isInlier).length;
   const where = `${at.frame[0]}, ${at.frame[1]} ${at.frame[2]}: ${at.u.toFixed(1)}, ${at.v.toFixed(1)}`;
-  show(known.length ? `${where} · found again in ${right} of the ${known.length} views where its place is known` : where);
+  show(known.length ? `${where} · matched correctly in ${nInliers} of ${known.length} views with ground truth` : where);
 }
 
-// How alike a distance is, from 0 to 1: it falls as fast as Sharpness says, in units of most pixels' distance.
+// Similarity from 0 to 1 of a distance, relative to the median distance; it decays at the rate of Sharpness.
 function likelihood(z) {
   return Math.exp((-heat.sharpness * z) / heat.middle);
 }
 
-// The colour of each of the 256 codes of a distance, as red, green, blue and opacity in memory.
+// The RGBA colours of the 256 distance codes.
 function colourTable() {
   const table = new Uint32Array(256);
   const bytes = new Uint8Array(table.buffer);
@@ -96,7 +96,7 @@ function colourTable() {
   return table;
 }
 
-// A view's heat map as a picture.
+// A view's heat map as a canvas.
 function layerOf(view, table) {
   const { width, height, codes, isDrawn } = view.found;
   if (!isDrawn) {
@@ -111,7 +111,7 @@ function layerOf(view, table) {
   return view.layer;
 }
 
-// Ask where all keypoints are matched, in all views that are shown.
+// Request the best matches of all keypoints in all visible views.
 let matches = { names: [], frames: new Map() };
 let isMatching = false;
 let isUnmatched = false;
@@ -122,8 +122,8 @@ async function askMatches() {
     const frames = shownViews().map((view) => view.frame);
     if (!state.marks.length || !$("show-matches").checked) matches = { names: [], frames: new Map() };
     else {
-      const found = await call("matches", { frames });
-      matches = { names: found.names, frames: new Map(frames.map((frame, i) => [key(frame), found.frames[i]])) };
+      const answer = await call("matches", { frames });
+      matches = { names: answer.names, frames: new Map(frames.map((frame, i) => [key(frame), answer.frames[i]])) };
     }
     draw();
   } catch (error) { complain(error); }

@@ -1,11 +1,11 @@
-// Long work of the server: proposing and saving, with a bar that tells how far it is and how long it still takes.
+// Long work of the server, proposing and saving, with its progress and remaining time.
 
-const POLL_MS = 300; // between looks at the server's progress: a bar that moves three times a second seems to move
+const POLL_MS = 300; // interval of progress requests, milliseconds: three a second look continuous
 
 let isWorking = false;
-let nFollowed = 0; // jobs so far: what is asked for one is not shown for the next
+let nFollowed = 0; // jobs so far, so that answers about one are not shown for the next
 
-// Show how far the server's job is, until `unfollow`.
+// Show the progress of the server's job until `unfollow`.
 async function follow(title) {
   const mine = ++nFollowed;
   isWorking = true;
@@ -23,7 +23,7 @@ async function follow(title) {
   }
 }
 
-// The job is over: take the bar away.
+// Hide the progress when the job has ended.
 function unfollow() {
   isWorking = false;
   nFollowed += 1;
@@ -33,24 +33,24 @@ function unfollow() {
 
 const pause = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
 
-// The bar, and the times beside it.
+// Show a job's progress and times.
 function showJob(job) {
   const share = job.total ? job.done / job.total : null;
   if (share === null) $("job-bar").removeAttribute("value");
   else $("job-bar").value = share;
   const left = job.seconds_left === null ? "" : ` · about ${duration(job.seconds_left)} left`;
   const part = share === null ? "" : `${Math.floor(100 * share)} % · `;
-  $("job-time").textContent = job.is_cancelled ? "ending …" : `${part}${duration(job.seconds)}${left}`;
+  $("job-time").textContent = job.is_cancelled ? "cancelling …" : `${part}${duration(job.seconds)}${left}`;
   $("job-cancel").hidden = !job.can_cancel;
 }
 
-// Seconds as a person says them.
+// A duration in seconds as minutes and seconds.
 function duration(seconds) {
   const whole = Math.round(seconds);
   return whole < 60 ? `${whole} s` : `${Math.floor(whole / 60)} min ${whole % 60} s`;
 }
 
-// A page that was loaded anew while the server works shows the rest of it.
+// Follow a job that was already running when the page was loaded.
 async function resume(job) {
   follow(job.name === "save" ? "Saving" : "Proposing keypoints");
   while ((await call("progress")).job) await pause(POLL_MS);
@@ -74,11 +74,11 @@ async function save() {
   follow("Saving");
   await steps;
   try {
-    const found = await call("save");
+    const answer = await call("save");
     unfollow();
-    adopt(found);
-    $("saved-text").textContent = found.told;
-    $("saved-next").textContent = found.next;
+    adopt(answer);
+    $("saved-text").textContent = answer.summary;
+    $("saved-next").textContent = answer.next;
     $("saved").hidden = false;
     $("finish").focus();
     show("saved");
@@ -92,7 +92,7 @@ async function finish() {
   await call("close").catch(() => null);
   views.length = 0;
   document.removeEventListener("keydown", onKey);
-  document.body.replaceChildren(Object.assign(document.createElement("main"), { textContent: "Saved. This page can be closed." }));
+  document.body.replaceChildren(Object.assign(document.createElement("main"), { textContent: "Saved. You can close this page." }));
 }
 
 function openProposals() {
@@ -104,18 +104,18 @@ function openProposals() {
   $("propose-dialog").showModal();
 }
 
-// Ask for proposals, once the dialog is closed by its button.
+// Request proposals when the dialog was closed by its Propose button.
 async function propose() {
   if ($("propose-dialog").returnValue !== "yes") return;
   const scene = $("propose-scene").value;
   const n = Number($("propose-n").value);
   follow(`Proposing ${n} keypoints in ${scene}`);
   try {
-    const found = await call("propose", { scene, n });
+    const answer = await call("propose", { scene, n });
     unfollow();
-    adopt(found);
-    show(found.is_cancelled ? "cancelled: nothing was proposed" : "proposed; Undo takes them away");
-    if (!found.is_cancelled) goTo(state.marks[state.marks.length - 1]);
+    adopt(answer);
+    show(answer.is_cancelled ? "cancelled; no keypoints were added" : "keypoints added; Undo removes them");
+    if (!answer.is_cancelled) goTo(state.marks[state.marks.length - 1]);
   } catch (error) {
     unfollow();
     complain(error);

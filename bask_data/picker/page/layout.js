@@ -1,12 +1,12 @@
-// Where the views lie: the main one as large as its picture can be, and as many others as have room beside or below.
+// Layout of the views: the main picture as large as possible, and as many other views as fit beside or below it.
 
-const GAP = 10;
-const LEAST_SIDE = 132; // CSS pixels, width of another view's picture at least: matches can be told, its fields just fit
-const MAIN_FRAME = 60; // CSS pixels of a main view's height that are not its picture; measured
-const SIDE_FRAME = 62; // the same of the other views
-const WORTH = 0.1; // of the main picture's area: what one more of the other views is worth
+const GAP = 10; // between views, CSS pixels
+const LEAST_SIDE = 132; // least width of another view's picture, CSS pixels: matches are visible, its fields just fit
+const MAIN_FRAME = 60; // height of the main view without its picture, CSS pixels, measured
+const SIDE_FRAME = 62; // the same for the other views
+const WORTH = 0.1; // value of one more view, as a share of the main picture's area
 
-// Arrange the views as the window and the main picture's shape ask for.
+// Arrange the views for the window's size and the main picture's aspect ratio.
 function arrange() {
   if (views.length <= N_OTHERS || !views[0].frame) return;
   const area = $("views");
@@ -23,20 +23,21 @@ function arrange() {
   draw();
 }
 
-// Of all ways to place at most N_OTHERS views, that of the largest main picture and the most others.
+// The arrangement of at most N_OTHERS views with the highest value.
 function bestArrangement(width, height, aspect) {
   let best = { isBeside: true, columns: 1, rows: 1, main: 0.7 * width, sideHeight: height, value: 0 };
   for (let columns = 1; columns <= N_OTHERS; columns++) {
     for (let rows = 1; columns * rows <= N_OTHERS; rows++) {
-      for (const tried of [beside(width, height, aspect, columns, rows), below(width, height, aspect, columns, rows)]) {
-        if (tried.value > best.value) best = { ...tried, columns, rows };
+      const candidates = [beside, below].map((arrangement) => arrangement(width, height, aspect, columns, rows));
+      for (const candidate of candidates) {
+        if (candidate.value > best.value) best = { ...candidate, columns, rows };
       }
     }
   }
   return best;
 }
 
-// The others in columns at the right: all that the main picture leaves of the width is theirs.
+// The other views in columns to the right, in the width that the main picture leaves.
 function beside(width, height, aspect, columns, rows) {
   const least = columns * LEAST_SIDE + columns * GAP;
   const main = Math.min(width - least, (height - MAIN_FRAME) * aspect);
@@ -46,7 +47,7 @@ function beside(width, height, aspect, columns, rows) {
   return { isBeside: true, main: Math.floor(main), sideHeight: Math.floor(sideHeight), value };
 }
 
-// The others in rows below, on windows that are taller than wide.
+// The other views in rows below, for windows that are taller than wide.
 function below(width, height, aspect, columns, rows) {
   const sideWidth = (width - (columns - 1) * GAP) / columns;
   const least = rows * (LEAST_SIDE / aspect + SIDE_FRAME + GAP);
@@ -57,7 +58,7 @@ function below(width, height, aspect, columns, rows) {
   return { isBeside: false, main: Math.floor(main), sideHeight: Math.floor(sideHeight), value };
 }
 
-// What an arrangement is worth: the pictures' areas, and the number of others; 0 where one would be too small.
+// Value of an arrangement: the pictures' areas and the number of views; 0 if a picture would be too small.
 function valueOf(mainWidth, mainHeight, aspect, sideHeight, n) {
   const sidePicture = sideHeight - SIDE_FRAME;
   const isPossible = mainWidth > 0 && mainHeight > 0 && sidePicture * aspect >= LEAST_SIDE - 1;

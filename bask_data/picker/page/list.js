@@ -1,6 +1,6 @@
 // The list of keypoints.
 
-// Choose a keypoint, or none with "".
+// Select a keypoint, or none with "".
 function choose(name) {
   if (chosen === name) return;
   chosen = name;
@@ -9,7 +9,7 @@ function choose(name) {
   draw();
 }
 
-// Show the keypoints, and what can be done with them.
+// Update the list and the buttons.
 function renderList() {
   $("count").textContent = state.marks.length;
   $("empty").hidden = state.marks.length > 0;
@@ -24,10 +24,10 @@ function renderList() {
   if (chosen && rowOf(chosen)) rowOf(chosen).scrollIntoView({ block: "nearest" });
 }
 
-// The list's row of a name.
-const rowOf = (name) => [...$("list").children].find((one) => one.dataset.name === name);
+// The row of a keypoint, by name.
+const rowOf = (name) => [...$("list").children].find((line) => line.dataset.name === name);
 
-// A row of the list.
+// A new row for a keypoint.
 function row(mark) {
   const line = document.createElement("li");
   const [dot, text, where] = ["dot", "name", "where"].map((className) => {
@@ -60,12 +60,12 @@ function row(mark) {
   return line;
 }
 
-// Show a keypoint's frame, if no view does.
+// Show a keypoint's frame in the main view, unless a view shows it already.
 function goTo(mark) {
   if (!shownViews().some((view) => same(view.frame, frameOf(mark)))) views[0].show(frameOf(mark));
 }
 
-// Put a field in place of a keypoint's name.
+// Replace a keypoint's name in the list by a field to edit it.
 function rename(name) {
   const line = rowOf(name);
   if (!line) return;
@@ -78,11 +78,11 @@ function rename(name) {
   const end = (isWanted) => {
     if (isOver) return;
     isOver = true;
-    const given = field.value.trim();
+    const entered = field.value.trim();
     field.remove();
     renderList();
     (rowOf(name) || views[0].canvas).focus();
-    if (isWanted && given && given !== name) edit({ do: "rename", name, new_name: given });
+    if (isWanted && entered && entered !== name) edit({ do: "rename", name, new_name: entered });
   };
   field.onclick = field.ondblclick = (event) => event.stopPropagation();
   field.onblur = () => end(true);

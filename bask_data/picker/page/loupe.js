@@ -1,11 +1,11 @@
-// The loupe: pixels about the pointer, magnified, with a cross at the very place that a click would keep.
+// The loupe: magnified pixels around the pointer, with a cross at the exact position that a click picks.
 
-const LOUPE = 150; // CSS pixels, its side
-const LOUPE_AWAY = 26; // CSS pixels from the pointer, so that it hides nothing of what is near
-const MAGNIFIED = [8, 4, 24]; // CSS pixels an image's pixel: at least, times the view's own, at most
-const NO_LOUPE = 12; // CSS pixels an image's pixel from which on a view shows its pixels well itself
+const LOUPE = 150; // side of the loupe, CSS pixels
+const LOUPE_AWAY = 26; // distance from the pointer, CSS pixels, so that its surroundings stay visible
+const MAGNIFIED = [8, 4, 24]; // CSS pixels per image pixel: minimum, factor on the view's scale, maximum
+const NO_LOUPE = 12; // CSS pixels per image pixel of a view that needs no loupe
 
-// Show the loupe beside the pointer, or hide it where it would not help.
+// Show the loupe beside the pointer, or hide it where the view is enlarged enough.
 function paintLoupe() {
   const canvas = $("loupe");
   const isWanted = hovered && $("show-loupe").checked && hovered.view.picture && hovered.view.viewport.scale < NO_LOUPE;
@@ -20,7 +20,7 @@ function paintLoupe() {
   paintReading(context);
 }
 
-// Above the pointer and to its right; on the other side where the window ends.
+// Place the loupe above and right of the pointer, or on the opposite side at the window's edges.
 function placeLoupe(canvas) {
   const { view, u, v } = hovered;
   const box = view.canvas.getBoundingClientRect();
@@ -31,7 +31,7 @@ function placeLoupe(canvas) {
   canvas.style.top = `${isAbove ? y - LOUPE_AWAY - LOUPE : y + LOUPE_AWAY}px`;
 }
 
-// The image's pixels as squares, keypoints of the frame as rings, the pixel that is hit framed, and the cross.
+// Draw image pixels as squares, keypoints of the frame as rings, a box around the picked pixel, and the cross.
 function paintMagnified(context) {
   const { view, u, v } = hovered;
   const [least, times, most] = MAGNIFIED;
@@ -54,7 +54,7 @@ function paintMagnified(context) {
   cross(context, [LOUPE / 2, LOUPE / 2], "#fff", LOUPE / 2, false, scale / 2 + 4);
 }
 
-// Which pixel it is, in figures.
+// Draw the pixel's coordinates.
 function paintReading(context) {
   context.font = "600 11.5px system-ui, sans-serif";
   const text = `${hovered.u.toFixed(1)}, ${hovered.v.toFixed(1)}`;

@@ -1,9 +1,9 @@
 // Drawing the views.
 
-const IN_MEMORY = { willReadFrequently: true }; // as fast with a graphics card, and twice as fast without one
-const SHARP = 5; // CSS pixels an image's pixel, from which on each is drawn as the square it is
+const IN_MEMORY = { willReadFrequently: true }; // as fast with a GPU, and twice as fast without one
+const SHARP = 5; // CSS pixels per image pixel from which pixels are drawn as squares
 
-// Draw views, and the loupe, before the browser shows its next picture.
+// Draw views and the loupe at the browser's next frame.
 const due = new Set();
 function draw(some = views) {
   if (!due.size) requestAnimationFrame(() => {
@@ -15,7 +15,7 @@ function draw(some = views) {
   for (const view of some) due.add(view);
 }
 
-// Colours of neighbours in the list are far from each other.
+// Colour of a keypoint; neighbours in the list have distant hues.
 function colourOf(name) {
   const i = state.marks.findIndex((mark) => mark.name === name);
   return `hsl(${(((0.09 + i * 0.618034) % 1) * 360).toFixed(1)} 95% ${(i >> 3) % 2 ? 74 : 62}%)`;
@@ -41,13 +41,13 @@ function paint(view, table) {
   paintMarks(context, view);
 }
 
-// Draw what spans the image, edge to edge.
+// Draw a picture over the image, edge to edge.
 function drawOver(context, view, picture) {
   const { x, y, scale } = view.viewport;
   context.drawImage(picture, x, y, scale * view.camera.width, scale * view.camera.height);
 }
 
-// The picture as it is shown: scaling it well is dear, and it is drawn again with every move of the pointer.
+// The scaled picture, cached: smooth scaling is slow, and views are redrawn with every move of the pointer.
 function backdropOf(view, width, height, ratio) {
   const { backdrop, picture, frame } = view;
   const { x, y, scale } = view.viewport;
@@ -64,7 +64,7 @@ function backdropOf(view, width, height, ratio) {
   return backdrop;
 }
 
-// A circle with a dark rim, which is seen on any ground.
+// Draw a circle with a dark rim, visible on any background.
 function ring(context, [x, y], radius, colour, width) {
   for (const [stroke, wide] of [["#000a", width + 2], [colour, width]]) {
     context.beginPath();
@@ -74,14 +74,14 @@ function ring(context, [x, y], radius, colour, width) {
   }
 }
 
-// Where each keypoint is matched best: dots of its colour, in other frames than its own.
+// Draw each keypoint's best match in other frames as a dot of its colour.
 function paintMatches(context, view) {
-  const found = matches.frames.get(key(view.frame));
-  if (!found) return;
+  const best = matches.frames.get(key(view.frame));
+  if (!best) return;
   matches.names.forEach((name, i) => {
     const mark = markOf(name);
     if (!mark || same(frameOf(mark), view.frame)) return;
-    const [x, y] = view.viewport.toCanvas(found[i][0], found[i][1]);
+    const [x, y] = view.viewport.toCanvas(best[i][0], best[i][1]);
     context.fillStyle = colourOf(name);
     context.strokeStyle = "#000b";
     context.lineWidth = 1.5;
@@ -92,23 +92,23 @@ function paintMatches(context, view) {
   });
 }
 
-// Where the point under the pointer is matched best, and where it truly is; in its own view the cross.
+// Draw the best match and ground truth of the searched pixel; in the pointer's own view, the cross.
 function paintFound(context, view) {
   if (view.found && heat.at && !same(view.frame, heat.at.frame)) {
     const { best, place } = view.found;
-    const colour = !place ? "#fff" : isRight(view) ? "#5fd38d" : "#ff6b6b";
-    // What is the least distance of all, but not small, is most likely no match.
+    const colour = !place ? "#fff" : isInlier(view) ? "#5fd38d" : "#ff6b6b";
+    // A best match at a large distance is faint: it most likely is no match.
     context.globalAlpha = 0.25 + 0.75 * Math.min(1, 2 * likelihood(view.found.z));
     ring(context, view.viewport.toCanvas(...best), 8, colour, 2);
     context.globalAlpha = 1;
-    if (place && !isRight(view)) cross(context, view.viewport.toCanvas(...place), "#5fd38d", 5, true);
+    if (place && !isInlier(view)) cross(context, view.viewport.toCanvas(...place), "#5fd38d", 5, true);
   }
   if (hovered && hovered.view === view && !(dragged && dragged.name)) {
     cross(context, view.viewport.toCanvas(hovered.u, hovered.v), "#fff", 9, false);
   }
 }
 
-// A cross, upright with its middle left open, or slanted.
+// Draw a cross: upright with an open centre, or slanted.
 function cross(context, [x, y], colour, size, isSlanted, gap = isSlanted ? 0 : 3) {
   const ways = isSlanted ? [[0.7, 0.7], [-0.7, 0.7], [0.7, -0.7], [-0.7, -0.7]] : [[1, 0], [-1, 0], [0, 1], [0, -1]];
   for (const [stroke, width] of [["#000a", 4], [colour, 2]]) {
@@ -122,7 +122,7 @@ function cross(context, [x, y], colour, size, isSlanted, gap = isSlanted ? 0 : 3
   }
 }
 
-// The chosen one lies over the others. Of those, a name that would hide another keypoint is left to the list.
+// Draw the keypoints of a view's frame, the selected one on top.
 function paintMarks(context, view) {
   const placed = state.marks.filter((mark) => same(frameOf(mark), view.frame)).map((mark) => {
     const isDragged = dragged && dragged.name === mark.name && dragged.hasMoved;
@@ -140,14 +140,14 @@ function paintMarks(context, view) {
   }
 }
 
-// A name beside its keypoint, unless it hides another.
+// Draw a name beside its keypoint, unless it would cover another keypoint; the selected one is always named.
 function paintName(context, view, name, [x, y], placed) {
   const isChosen = name === chosen;
   context.font = `${isChosen ? 600 : 500} 12px system-ui, sans-serif`;
   const wide = context.measureText(name).width;
   const left = x + 14 + wide > view.canvas.clientWidth ? x - 18 - wide : x + 12;
   const hides = ({ at: [u, v] }) => u > left - 8 && u < left + wide + 18 && Math.abs(v - y) < 18;
-  if (!isChosen && placed.some((one) => one.name !== name && hides(one))) return;
+  if (!isChosen && placed.some((mark) => mark.name !== name && hides(mark))) return;
   context.fillStyle = isChosen ? "#0d0f14e6" : "#0d0f1499";
   context.beginPath();
   context.roundRect(left, y - 10, wide + 10, 20, 6);

@@ -1,19 +1,19 @@
-// What mouse, pen and fingers do on a view: pick, drag a keypoint, enlarge, pan.
+// Mouse, pen and touch on a view: pick, drag a keypoint, zoom, pan.
 
-const REACH = 11; // CSS pixels around a keypoint that grasp it: a little more than its dot's radius of 8
+const REACH = 11; // radius in CSS pixels at which a keypoint can be grasped; its dot has a radius of 8
 const STILL = 3; // CSS pixels that a press may move and still be a click
-const WHEEL_ZOOM = 0.0015; // of the zoom's logarithm for a pixel of the wheel: a notch of 100 enlarges by 16 %
+const WHEEL_ZOOM = 0.0015; // change of log(zoom) per pixel of the wheel: a notch of 100 pixels enlarges by 16 %
 const PAD_ZOOM = 0.01; // the same for a pinch on a touch pad, which browsers send as a wheel with Ctrl
-const LINE_PX = 33; // pixels that a line of the wheel stands for, where a browser counts in lines
+const LINE_PX = 33; // pixels per line of the wheel, for browsers that count in lines
 
 let isSpaceHeld = false;
 
 class Pointers {
   constructor(view) {
     this.view = view;
-    this.fingers = new Map(); // of those that touch: {x, y} by the pointer's number
-    this.panned = null; // {x, y}: where the pointer was that drags the picture
-    this.isPinching = false; // until the last finger has left: none of them picks
+    this.fingers = new Map(); // fingers on the screen: {x, y} by pointer id
+    this.panned = null; // {x, y}: last position of the pointer that pans
+    this.isPinching = false; // true until the last finger has left, so that none of them picks
     const { canvas } = view;
     canvas.onpointerdown = (event) => this.press(event);
     canvas.onpointermove = (event) => this.move(event);
@@ -24,7 +24,7 @@ class Pointers {
     canvas.addEventListener("wheel", (event) => this.turnWheel(event), { passive: false });
   }
 
-  // The keypoint that a place of the canvas grasps, or "".
+  // Name of the keypoint within reach of a position on the canvas, or "".
   markAt({ x, y }) {
     let best = "";
     let least = REACH;
@@ -59,7 +59,7 @@ class Pointers {
     if (this.panned) return this.pan(at);
     if (dragged && dragged.view === this.view) {
       dragged.hasMoved ||= Math.hypot(at.x - dragged.x, at.y - dragged.y) > STILL;
-      // A finger that does not hold a keypoint takes the picture along, where there is more of it.
+      // A finger that holds no keypoint pans an enlarged picture.
       if (event.pointerType === "touch" && !dragged.name && dragged.hasMoved && this.view.viewport.zoom > 1) {
         dragged = null;
         this.panned = at;
@@ -77,14 +77,14 @@ class Pointers {
     draw([this.view]);
   }
 
-  // A second finger makes the first one's press a part of the pinch.
+  // A second finger turns the first one's press into a pinch.
   beginPinch() {
     dragged = this.panned = null;
     this.isPinching = true;
     hover(null);
   }
 
-  // What was between two fingers stays between them.
+  // Zoom and pan so that the point between the fingers stays between them.
   pinch(id, at) {
     const before = this.spread();
     this.fingers.set(id, at);
@@ -93,7 +93,7 @@ class Pointers {
     this.view.zoomAbout(before.x, before.y, after.distance / before.distance, [after.x, after.y]);
   }
 
-  // Middle and distance of two fingers.
+  // Midpoint and distance of two fingers, CSS pixels.
   spread() {
     const [a, b] = this.fingers.values();
     return b && { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2, distance: Math.hypot(a.x - b.x, a.y - b.y) || 1 };
@@ -140,7 +140,7 @@ class Pointers {
   }
 }
 
-// While Space is held, dragging pans. Buttons and fields keep it for themselves.
+// While Space is held, dragging pans, unless a button or field has the focus.
 function holdSpace(event) {
   if (event.target.closest("button, input, select, dialog")) return;
   event.preventDefault();

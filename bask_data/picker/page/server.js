@@ -1,8 +1,8 @@
-// Speaking to the server, which keeps the draft: every step is sent there, and what it answers is what is shown.
+// Requests to the server. It keeps the draft: every step is sent to it, and the page shows its answer.
 
-const COMPLAINT_MS = 4000; // an error stays long enough to be read, however soon the next heat maps come
+const COMPLAINT_MS = 4000; // how long an error stays legible before heat maps replace it, milliseconds
 
-// The server's answer to a request; throws what it says against it.
+// The server's answer to a request; throws an Error with its message if it refuses.
 async function ask(name, body) {
   let answer;
   try {
@@ -12,7 +12,7 @@ async function ask(name, body) {
       body: JSON.stringify(body || {}),
     });
   } catch {
-    throw new Error("The command that served this page has ended. What was picked is kept: start it again.");
+    throw new Error("The command behind this page has ended. Your keypoints are kept: start it again.");
   }
   if (!answer.ok) {
     const refusal = await answer.json().catch(() => ({}));
@@ -26,7 +26,7 @@ async function call(name, body) {
   return (await ask(name, body)).json();
 }
 
-// Show an error in the status line, and keep it there for a while.
+// Show an error in the status line for at least COMPLAINT_MS.
 let complainedAt = -COMPLAINT_MS;
 function complain(error) {
   complainedAt = performance.now();
@@ -35,15 +35,15 @@ function complain(error) {
 
 // Show a text in the status line.
 let statusText = "";
-function show(text, isWrong = false) {
-  // What was still under way when the page was finished has nowhere to tell it.
+function show(text, isError = false) {
+  // Answers that arrive after Finish find no status line.
   if (text === statusText || !$("status")) return;
   statusText = text;
   $("status").textContent = text;
-  $("status").classList.toggle("wrong", isWrong);
+  $("status").classList.toggle("error", isError);
 }
 
-// Send a step of work on the draft. Steps go one after the other: their order is what Undo goes back by.
+// Send an edit of the draft. Edits are sent one after the other, as Undo depends on their order.
 let steps = Promise.resolve();
 function edit(body) {
   const done = steps.then(async () => {
@@ -56,7 +56,7 @@ function edit(body) {
   return steps;
 }
 
-// Arrow keys come many a second: one step of Undo for all that belong together.
+// Combine moves by quickly repeated arrow keys into one step of Undo.
 let settling = 0;
 function settle(mark) {
   clearTimeout(settling);
@@ -65,9 +65,9 @@ function settle(mark) {
   settling = setTimeout(() => edit({ do: "move", name, at: { frame, u, v } }), 350);
 }
 
-// Take over the server's state of the draft, and show it.
-function adopt(found) {
-  Object.assign(state, found);
+// Show the server's state of the draft.
+function adopt(answer) {
+  Object.assign(state, answer);
   if (!markOf(chosen)) chosen = "";
   renderList();
   askMatches();

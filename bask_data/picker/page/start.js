@@ -1,11 +1,11 @@
-// Keys, buttons, and the beginning.
+// Keys, buttons, and start-up.
 
 function flip(id) {
   $(id).checked = !$(id).checked;
   $(id).onchange();
 }
 
-// The view that keys are for: under the pointer, or with the focus, or else the main one.
+// The view that keys apply to: under the pointer, or with the focus, or else the main one.
 function keyView() {
   return (hovered && hovered.view) || views.find((view) => view.canvas === document.activeElement) || views[0];
 }
@@ -54,7 +54,7 @@ function setSharpness() {
   draw();
 }
 
-// Say what each button does.
+// Connect buttons, keys and resizing to their actions.
 function bind() {
   const clicks = {
     undo: () => edit({ do: "undo" }),
@@ -80,9 +80,9 @@ function bind() {
 }
 
 async function start() {
-  const found = await call("start");
-  Object.assign(state, found);
-  heat.sharpness = Number($("sharpness").value); // a reload keeps where it was set
+  const answer = await call("start");
+  Object.assign(state, answer);
+  heat.sharpness = Number($("sharpness").value); // browsers restore fields after a reload
   $("title").textContent = state.title;
   for (let i = 0; i <= N_OTHERS; i++) views.push(new View(i ? $("other-views") : $("main-view")));
   bind();
@@ -93,7 +93,7 @@ async function start() {
   views.forEach((view) => view.show(view.frame));
   renderList();
   askHeat();
-  if (found.job) resume(found.job).catch(complain);
+  if (answer.job) resume(answer.job).catch(complain);
 }
 
 start().catch(complain);

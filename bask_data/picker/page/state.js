@@ -1,16 +1,16 @@
 "use strict";
 
-// What the page knows, and small questions about it. A frame is [recording, camera, number]; (u, v) are pixels of its
-// image, whose centres are integers. Everything else lies in CSS pixels.
+// State of the page. A frame is [recording, camera, number]; (u, v) is a position in pixels of its image, with integer
+// pixel centres. All other lengths are CSS pixels.
 
 const TOKEN = new URLSearchParams(location.search).get("token") || "";
-const N_OTHERS = 8; // views beside the main one, at most: each makes a move of the pointer take some 5 ms longer
+const N_OTHERS = 8; // most views beside the main one; each adds some 5 ms to the response to the pointer
 
 const state = { marks: [], can_undo: false, can_redo: false, is_saved: false, recordings: [] };
 const views = [];
-let chosen = ""; // name of the keypoint that is chosen
-let hovered = null; // {view, u, v}: under the pointer, or under the keyboard's cross
-let dragged = null; // {name, view, u, v, x, y, hasMoved}: pressed, and not yet let go
+let chosen = ""; // name of the selected keypoint
+let hovered = null; // {view, u, v}: pixel under the pointer, or under the keyboard's cross
+let dragged = null; // {name, view, u, v, x, y, hasMoved}: a press that has not been released
 
 const $ = (id) => document.getElementById(id);
 const blank = () => document.createElement("canvas");

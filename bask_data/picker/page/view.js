@@ -1,6 +1,6 @@
-// A view: a picture with its heat map and keypoints, and the fields that say which frame it shows.
+// A view: a picture with its heat map and keypoints, and the fields that select its frame.
 
-const KEY_ZOOM = 1.5; // a press of + or -
+const KEY_ZOOM = 1.5; // factor of a press of + or -
 
 class View {
   constructor(parent) {
@@ -33,7 +33,7 @@ class View {
     return views[0] === this;
   }
 
-  // Show a frame: its fields at once, its picture and its heat map when they have come.
+  // Show a frame: its fields at once, its picture and heat map when they arrive.
   show(frame) {
     const camera = cameraOf(frame);
     const before = this.frame;
@@ -51,7 +51,7 @@ class View {
   fillFields(camera) {
     const [recording, , number] = this.frame;
     this.recordingField.value = recording;
-    this.cameraField.replaceChildren(...camerasOf(this.frame).map((one) => new Option(one.name)));
+    this.cameraField.replaceChildren(...camerasOf(this.frame).map((known) => new Option(known.name)));
     this.cameraField.value = camera.name;
     this.cameraField.hidden = camerasOf(this.frame).length < 2;
     this.frameField.max = camera.n_frames - 1;
@@ -61,7 +61,7 @@ class View {
     this.canvas.setAttribute("aria-label", `${recording}, ${camera.name}, frame ${number}`);
   }
 
-  // Fetch what the frame shows. Of a view that is hidden nothing is asked for.
+  // Fetch the picture and request descriptors; hidden views request nothing.
   async load() {
     const { frame } = this;
     this.isLoaded = true;
@@ -79,7 +79,7 @@ class View {
     } catch (error) { complain(error); }
   }
 
-  // Show the view or hide it, as there is room.
+  // Show or hide the view.
   setShown(isShown) {
     this.isShown = isShown;
     this.root.hidden = !isShown;
@@ -93,13 +93,13 @@ class View {
     main.show(mine);
   }
 
-  // Take the sizes as they are now. Fractions of a CSS pixel count: they are tenths of a pixel of a small image.
+  // Update the viewport's sizes. Fractions of CSS pixels matter: they are tenths of a pixel of a small image.
   measure() {
     const { width, height } = this.canvas.getBoundingClientRect();
     this.viewport.measure({ width, height }, this.camera);
   }
 
-  // The place of an event on the canvas, and the pixel there.
+  // An event's position (x, y) on the canvas, its pixel (u, v), and whether it is inside the image.
   locate(event) {
     this.measure();
     const box = this.canvas.getBoundingClientRect();
@@ -121,7 +121,7 @@ class View {
     this.showZoom();
   }
 
-  // Enlarge about the cross, or about the middle without one.
+  // Zoom about the cross, or about the centre without one.
   zoomByKey(factor) {
     this.measure();
     const isHere = hovered && hovered.view === this;
@@ -148,7 +148,7 @@ class View {
     event.preventDefault();
   }
 
-  // Move the chosen keypoint by pixels, or the cross by what can be seen; the picture follows where it is enlarged.
+  // Move the selected keypoint by pixels, or the cross by visible steps; an enlarged picture follows.
   nudge(du, dv, by) {
     this.measure();
     const { width, height } = this.camera;

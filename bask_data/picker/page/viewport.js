@@ -1,6 +1,6 @@
-// How a picture lies on its canvas: all of it, or enlarged about a point.
+// Position and scale of a picture on its canvas.
 
-const MOST_SCALE = 40; // CSS pixels an image's pixel: more would not let it be hit more exactly
+const MOST_SCALE = 40; // CSS pixels per image pixel; a larger scale would not improve the precision of picks
 
 class Viewport {
   constructor() {
@@ -9,20 +9,20 @@ class Viewport {
     this.reset();
   }
 
-  // Show all of the picture.
+  // Show the whole picture.
   reset() {
     this.zoom = 1;
-    this.centre = [0.5, 0.5]; // what is in the canvas's middle, as shares of the image's sides
+    this.centre = [0.5, 0.5]; // point at the canvas's centre, as shares of the image's width and height
   }
 
-  // The sizes of the canvas in CSS pixels, and of the image in its own.
+  // Set the sizes of the canvas in CSS pixels and of the image in image pixels.
   measure(canvas, image) {
     this.canvas = canvas;
     this.image = image;
     this.zoom = Math.min(this.zoom, this.mostZoom);
   }
 
-  // CSS pixels an image's pixel when all of it is shown.
+  // CSS pixels per image pixel at which the whole picture fits.
   get fit() {
     return Math.min(this.canvas.width / this.image.width, this.canvas.height / this.image.height) || 1;
   }
@@ -35,7 +35,7 @@ class Viewport {
     return this.fit * this.zoom;
   }
 
-  // The image's left or upper edge on the canvas: in the middle where it is smaller, without a gap where it is larger.
+  // The image's left or upper edge on the canvas: a smaller image is centred, a larger one leaves no gap.
   edge(share, canvas, image) {
     const size = this.scale * image;
     return size <= canvas ? (canvas - size) / 2 : between(canvas / 2 - share * size, canvas - size, 0);
@@ -49,7 +49,7 @@ class Viewport {
     return this.edge(this.centre[1], this.canvas.height, this.image.height);
   }
 
-  // Pixel centres are integers, so an image begins half a pixel before 0.
+  // Pixel centres are integers, so an image begins at -0.5.
   toCanvas(u, v) {
     return [this.x + this.scale * (u + 0.5), this.y + this.scale * (v + 0.5)];
   }
@@ -58,7 +58,7 @@ class Viewport {
     return [(x - this.x) / this.scale - 0.5, (y - this.y) / this.scale - 0.5];
   }
 
-  // Move the image so that its edges come to lie there, as far as it leaves no gap.
+  // Move the image's left and upper edges to (x, y), as far as this leaves no gap.
   moveTo(x, y) {
     const { canvas, image, scale } = this;
     this.centre = [(canvas.width / 2 - x) / (scale * image.width), (canvas.height / 2 - y) / (scale * image.height)];
@@ -72,14 +72,14 @@ class Viewport {
     this.moveTo(this.x + dx, this.y + dy);
   }
 
-  // Enlarge, or with a factor below 1 reduce, so that what lies at a place of the canvas stays there, or goes elsewhere.
+  // Scale by a factor, keeping the point at (x, y) of the canvas in place, or moving it to (toX, toY).
   zoomAbout(x, y, factor, [toX, toY] = [x, y]) {
     const [u, v] = this.toPixel(x, y);
     this.zoom = between(this.zoom * factor, 1, this.mostZoom);
     this.moveTo(toX - this.scale * (u + 0.5), toY - this.scale * (v + 0.5));
   }
 
-  // Pan until a pixel is at least `margin` away from the canvas's edges.
+  // Pan until a pixel is at least `margin` CSS pixels away from the canvas's edges.
   reveal(u, v, margin = 24) {
     const [x, y] = this.toCanvas(u, v);
     const { width, height } = this.canvas;
