@@ -181,8 +181,8 @@ def test_colour_of_16_bits_is_refused(tmp_path: Path) -> None:
     recording.rgb[2] = recording.rgb[2].astype(np.uint16) * 257
     ended = ingested(recording, tmp_path)
     assert ended.exit_code == 4
-    assert "frame-000002.color.png: colour: expected 8 bits a channel, got 16" in ended.stderr
-    assert "fix: convert the image to 8 bits a channel." in ended.stderr
+    assert "frame-000002.color.png: colour: expected 8 bits per channel, got 16" in ended.stderr
+    assert "fix: convert the image to 8 bits per channel." in ended.stderr
 
 
 def test_a_bare_table_gives_empty_masks_and_says_so(tmp_path: Path) -> None:

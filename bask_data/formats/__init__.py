@@ -1,15 +1,15 @@
-"""Readers of other people's recordings: units, frames and conventions are converted here and nowhere else.
+"""Readers of recordings in other formats: units, frames and conventions are converted here and nowhere else.
 
 To add a format, touch two files:
 
 1. `formats/<name>.py`, new, with a model of its options, derived from `Params`, whose descriptions are the help of
    `bask-data ingest <name>`, and with `read(source: Path, options) -> SourceRecording`. It returns the recording in our
-   units and frames, states in `assumptions` what the files do not, and reads a frame only when it is asked for.
+   units and frames, states in `assumptions` what the files do not, and reads frames on demand.
 2. `formats/__init__.py`: the import of the model, and a line in `FORMATS`.
 
-The command line imports the models, and a reader only when it is used: NumPy, OpenCV and what imports them must not be
-loaded by the imports of this file, so that `--help` stays fast. A small reader imports them inside its functions; one
-that declares the shapes of its arrays needs them at its top, and keeps its model in `formats/options.py`.
+The command line imports all models, but a reader only when it is used. Importing this file must not load NumPy or
+OpenCV, so that `--help` stays fast: a small reader imports them inside its functions; one with array types in its
+signatures needs them at its top, and keeps its model in `formats/options.py`.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class Format:
         """The recording in the folder `source`.
 
         Raises:
-            BadData: a file is missing, broken, or does not hold what the options say.
-            UsageError: the options name something that does not exist.
+            BadData: a file is missing, corrupted, or contradicts the options.
+            UsageError: `source` is not a folder, or an option is missing or invalid.
         """
         recording: bask_data.formats.recording.SourceRecording = import_module(f"bask_data.formats.{self.name}").read(
             source, options

@@ -1,7 +1,7 @@
-"""The MIT-Princeton team's recordings for the Amazon Picking Challenge 2016, and those of the same rig made later.
+"""The MIT-Princeton team's recordings for the Amazon Picking Challenge 2016, and later ones of the same rig.
 
-Two layouts: all numbers in `cam.info.txt`, or intrinsics and poses in files of their own. Raw depth is rotated left by
-three bits, in tenths of a millimetre. Labels are truth: `segm/frame-*.segm.png`, or the same beside the frames.
+Two layouts: all numbers in `cam.info.txt`, or intrinsics and poses in separate files. Raw depth is rotated left by
+three bits, in tenths of a millimetre. Labels are ground truth: `segm/frame-*.segm.png`, or beside the frames.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from bask_data.formats.options import ApcOptions
 from bask_data.formats.recording import ObjectPose, SourceRecording
 
 DEPTH_SCALE = 1e-4
-"""Metres per unit of depth once its bits are turned back, as the recordings' documentation states."""
+"""Metres per unit of depth after rotating its bits back, from the recordings' documentation."""
 
 INFO_FILE = "cam.info.txt"
 INTRINSICS_FILE = "camera-intrinsics.color.txt"
 POSES_FILE = "object_poses.json"
 OBJECT_NAMES = {48: "chenille stems", 114: "bunny book", 132: "tissue box", 144: "joke book"}
-"""Labels are six times the object's place in the challenge's alphabetical list; these four were looked at."""
+"""Names by label, six times the object's position in the challenge's alphabetical list; these four were verified."""
 
 
 def read(source: Path, options: ApcOptions) -> SourceRecording:
-    """The recording in `source`, in the frame of its shelf bin where the files state it."""
+    """The recording in `source`; see `ApcOptions.world` for the world frame."""
     source_folder(source)
     info = source / INFO_FILE
     groups = {"color": _color_files(source), "depth": matching(source, "frame-*.depth.png", "depth")}
@@ -78,7 +78,7 @@ def read(source: Path, options: ApcOptions) -> SourceRecording:
 
 @dataclass(frozen=True)
 class _Rig:
-    """What the text files say."""
+    """Calibration and poses from the text files; `robot_from_bin` is None where they do not state it."""
 
     K: Float[ndarray, "3 3"]
     robot_from_cameras: Float[ndarray, "t 4 4"]
@@ -93,7 +93,7 @@ def _color_files(source: Path) -> dict[str, Path]:
 
 
 def _label_pattern(source: Path) -> str:
-    """Where the labels are: in a folder, beside the frames, or nowhere (empty)."""
+    """Pattern of the label files, in a folder or beside the frames; empty without labels."""
     return next((pattern for pattern in ("segm/frame-*.segm.png", "frame-*.segm.png") if any(source.glob(pattern))), "")
 
 
@@ -103,7 +103,7 @@ def _rig_of_files(source: Path, pose_files: Sequence[Path]) -> _Rig:
 
 
 def _rig_of_info(path: Path, names: Sequence[str]) -> _Rig:
-    """Reads `cam.info.txt`: matrices, each under a comment that names it."""
+    """Calibration and poses in `cam.info.txt`, whose matrices have comments as titles."""
     matrices = _titled_matrices(path)
     color = _titled(path, matrices, "color camera intrinsic")
     if len(color) != 9:
@@ -115,7 +115,7 @@ def _rig_of_info(path: Path, names: Sequence[str]) -> _Rig:
 
 
 def _titled_matrices(path: Path) -> dict[str, list[float]]:
-    """Numbers by the comment above them, lower case. Comments matter here, hence not `read_lines`, which drops them."""
+    """Numbers by the comment above them, in lower case; `read_lines` would drop the comments."""
     matrices: dict[str, list[float]] = {}
     title = ""
     for line in read_bytes(path, 2**20).decode("utf-8", errors="replace").splitlines():
@@ -134,7 +134,7 @@ def _titled(path: Path, matrices: dict[str, list[float]], words: str) -> list[fl
 
 
 def _object_poses(source: Path, rig: _Rig, world: str) -> tuple[dict[int, ObjectPose], tuple[Path, ...]]:
-    """Where objects stand, if a file beside the frames says so: `{"world": "bin", "objects": {"132": {...}}}`."""
+    """Poses of objects from a file beside the frames, if any: `{"world": "bin", "objects": {"132": {...}}}`."""
     if not (source / POSES_FILE).exists():
         return {}, ()
     path = member(source, POSES_FILE, "object poses")

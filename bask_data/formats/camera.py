@@ -1,4 +1,4 @@
-"""From image files, poses and intrinsics to a camera's recording; all is checked that strangers' files get wrong."""
+"""A camera's recording from image files, poses and intrinsics, checked for the faults that occur in practice."""
 
 from __future__ import annotations
 
@@ -28,21 +28,22 @@ OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """Camera axes: y up and z backward become y down and z forward."""
 
 QUATERNION_TOLERANCE = 0.01
-"""How far the length of a quaternion in a file may be from 1. TUM's files print four digits, an error of 1e-4; numbers
-that are no quaternion are far off."""
+"""Largest deviation from 1 of a quaternion's length. TUM's files have four digits, an error of 1e-4; other numbers
+deviate far more."""
 
 PLAUSIBLE_DEPTH = (0.001, 100.0)
-"""Metres between which the median depth of an image must lie; outside it the unit is wrong, not the scene. A wrong unit
-is a factor of 1000, and rooms have metres."""
+"""Range of the median depth of an image, metres; outside it the unit must be wrong. Wrong units differ by a factor of
+1000, and rooms measure metres."""
 
 
 @dataclass(frozen=True)
 class ImageFiles:
-    """The image files of one camera, frame by frame.
+    """The image files of one camera, by frame.
 
-    Attributes:
+    Args:
+        label: label images, or empty.
         invalid_depth: raw values besides 0 that mean no measurement.
-        rotated_depth: whether raw depth is rotated left by three bits, as the APC recordings have it.
+        rotated_depth: whether raw depth is rotated left by three bits, as in APC recordings.
     """
 
     color: tuple[Path, ...]
@@ -73,21 +74,23 @@ def camera_recording(
     world_from_cameras: Float[ndarray, "t 4 4"],
     time: Float[ndarray, " t"],
 ) -> CameraRecording:
-    """A camera whose files have been looked at.
+    """A camera's recording, after checking its files.
 
     Args:
-        intrinsics_size: WIDTHxHEIGHT as the user states it, or empty.
+        intrinsics_size: WIDTHxHEIGHT as stated by the user, or empty.
+        depth_scale: metres per unit.
+        time: seconds.
 
     Raises:
-        BadData: images of different sizes or kinds, intrinsics of another size, time running back, depth that is all
-            invalid or implausible at this scale.
+        BadData: images differ in size or kind, intrinsics are of another size, times do not increase, or depth is
+            invalid throughout or implausible at this scale.
     """
     size = _common_size(images)
     check_intrinsics(images.color[0], K, size, intrinsics_size)
     if not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
         late = int(np.argmin(np.diff(time) > 0)) + 1 if len(time) > 1 else 0
         raise BadData(
-            images.color[late], "time", expected="finite times that grow from frame to frame", got=f"{time[late]} s"
+            images.color[late], "time", expected="finite times that increase with the frames", got=f"{time[late]} s"
         )
     _check_depth_values(images, depth_scale)
     return CameraRecording(
@@ -104,7 +107,7 @@ def camera_recording(
 
 
 def _common_size(images: ImageFiles) -> ImageHeader:
-    """The header of the first colour image, after every file was found whole, of the right kind and as large."""
+    """Header of the first colour image, after checking that every file is intact and has its kind and size."""
     first: ImageHeader | None = None
     for paths, check in ((images.color, check_color), (images.depth, check_depth), (images.label, check_labels)):
         for path in paths:
@@ -117,17 +120,24 @@ def _common_size(images: ImageFiles) -> ImageHeader:
                     "size",
                     expected=f"{first.width} x {first.height} as in {images.color[0].name}",
                     got=f"{header.width} x {header.height}",
-                    fix="colour and depth must be registered: export depth aligned to colour, at its size.",
+                    fix="export depth registered to colour, at the size of the colour images.",
                 )
     assert first is not None
     return first
 
 
 def check_intrinsics(where: Path, K: Float[ndarray, "3 3"], size: ImageHeader, stated: str) -> None:
-    """That K fits images of this size.
+    """Check that K fits images of this size.
 
-    Intrinsics of another resolution are the commonest mistake, and the principal point gives it away: it lies near the
-    middle of a camera's image. A crop's may not, hence the stated size.
+    Intrinsics of another resolution are the most common mistake. The principal point reveals it, as it lies near the
+    image's centre, except in crops; the user states the size of these.
+
+    Args:
+        where: place for messages.
+        stated: WIDTHxHEIGHT of the images that K was calibrated with, or empty.
+
+    Raises:
+        BadData: the size differs, the principal point is off-centre, or the focal lengths are implausible.
     """
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     actual = f"{size.width}x{size.height}"
@@ -146,7 +156,7 @@ def check_intrinsics(where: Path, K: Float[ndarray, "3 3"], size: ImageHeader, s
             "intrinsics",
             expected=f"a principal point {'inside' if stated else 'near the middle of'} images of {actual}",
             got=f"({cx:g}, {cy:g})",
-            fix="give the intrinsics of this resolution"
+            fix="pass the intrinsics of this resolution"
             + ("." if stated else f"; if the images are a crop, state --intrinsics-size {actual}."),
         )
     if not 0.1 * size.width <= min(fx, fy) <= max(fx, fy) <= 20 * size.width:
@@ -155,12 +165,12 @@ def check_intrinsics(where: Path, K: Float[ndarray, "3 3"], size: ImageHeader, s
             "intrinsics",
             expected=f"focal lengths in pixels, {0.1 * size.width:g} to {20 * size.width:g}",
             got=f"({fx:g}, {fy:g})",
-            fix="give fx, fy in pixels, not in millimetres.",
+            fix="pass fx, fy in pixels, not in millimetres.",
         )
 
 
 def _check_depth_values(images: ImageFiles, depth_scale: float) -> None:
-    """Looks at frames until one has depth. A recording without any is useless; a single frame without is allowed."""
+    """Check the first frame with depth; single frames may have none, the whole recording may not."""
     for i, path in enumerate(images.depth):
         depth = images.read_depth(i)
         measured = depth[depth > 0]
@@ -173,7 +183,7 @@ def _check_depth_values(images: ImageFiles, depth_scale: float) -> None:
                 "depth",
                 expected=f"a median between {PLAUSIBLE_DEPTH[0]:g} and {PLAUSIBLE_DEPTH[1]:g} m",
                 got=f"{median:.4g} m at {depth_scale:g} m per unit",
-                fix="pass the right --depth-scale: 0.001 for millimetres.",
+                fix="pass --depth-scale: 0.001 for millimetres.",
             )
         return
     raise BadData(
@@ -192,7 +202,7 @@ def parse_intrinsics(source: Path, text: str) -> tuple[Float[ndarray, "3 3"], tu
             "--intrinsics",
             expected="fx,fy,cx,cy or a file",
             got="nothing",
-            fix="the camera's calibration has them; the size of an image alone does not tell.",
+            fix="take them from the camera's calibration; images do not contain them.",
         )
     words = text.split(",")
     if len(words) == 4:
@@ -229,10 +239,10 @@ def _intrinsics_matrix(where: Path, values: list[float]) -> Float[ndarray, "3 3"
 
 
 def parse_pose(where: Path | str, values: list[float]) -> Float[ndarray, "4 4"]:
-    """The transform in a pose file: a 4x4 or 3x4 matrix, or tx ty tz qx qy qz qw. Rounding in the text is taken out.
+    """The transform in a pose file, made exactly rigid: a 4x4 or 3x4 matrix, or tx ty tz qx qy qz qw.
 
     Raises:
-        BadData: another count of numbers, or no rigid transform.
+        BadData: another count of numbers, or not a rigid transform.
     """
     if len(values) == 7:
         matrix = _from_quaternion(where, np.array(values))
@@ -252,7 +262,7 @@ def parse_pose(where: Path | str, values: list[float]) -> Float[ndarray, "4 4"]:
             "pose",
             expected="a rigid transform",
             got=fault,
-            fix="tracking was lost or the convention is another: move the frame away, or convert the poses.",
+            fix="remove the frame if tracking was lost, or convert the poses if their convention differs.",
         )
     return nearest_rigid(matrix)
 
@@ -266,7 +276,7 @@ def _from_quaternion(where: Path | str, values: Float[ndarray, "7"]) -> Float[nd
             "pose",
             expected="a quaternion of length 1",
             got=f"length {length:.4g}",
-            fix="the order of a line is tx ty tz qx qy qz qw.",
+            fix="write each line as tx ty tz qx qy qz qw.",
         )
     x, y, z, w = quat_xyzw / length
     matrix = np.eye(4)
@@ -280,7 +290,7 @@ def _from_quaternion(where: Path | str, values: Float[ndarray, "7"]) -> Float[nd
 
 
 def read_poses(paths: list[Path]) -> Float[ndarray, "t 4 4"]:
-    """One transform a file. All files are read before the first fault is raised, so that the message can count them."""
+    """One transform per file. All files are read before the first fault is raised, so that its message lists all."""
     poses, faults = [], []
     for path in paths:
         try:

@@ -1,4 +1,4 @@
-"""Files from strangers: found without leaving the source folder, read up to a size, parsed as plain numbers."""
+"""Untrusted files: confined to the source folder, read up to a size limit, parsed as plain numbers."""
 
 from __future__ import annotations
 
@@ -11,31 +11,35 @@ from pathlib import Path, PurePosixPath
 from bask_data.errors import BadData, UsageError
 
 MAX_TEXT_BYTES = 64 * 2**20
-"""Largest text file that is read, bytes: poses of half a million frames. Keeps a wrong file from filling the memory."""
+"""Largest text file that is read, bytes: poses of half a million frames. Keeps wrong files from filling memory."""
 
 MAX_IMAGE_BYTES = 512 * 2**20
-"""Largest image file that is read, bytes: more than any image of `MAX_PIXELS` takes. Keeps a wrong file from filling
-the memory."""
+"""Largest image file that is read, bytes: more than an image of `MAX_PIXELS` takes. Keeps wrong files from filling
+memory."""
 
 
 def source_folder(source: Path) -> Path:
-    """`source`, once it is known to be a folder."""
+    """`source`, after checking that it is a folder; `UsageError` otherwise."""
     if not source.is_dir():
-        raise UsageError(source, "SOURCE", expected="a folder", got="a file" if source.exists() else "nothing there")
+        raise UsageError(source, "SOURCE", expected="a folder", got="a file" if source.exists() else "no such path")
     return source
 
 
 def member(source: Path, relative: str, field: str) -> Path:
-    """The regular file at `relative` inside `source`: no `..`, no absolute path, no link that leads out."""
+    """The regular file at `relative` inside `source`; `BadData` for `..`, absolute paths and links that lead out."""
     pure = PurePosixPath(relative)
     if pure.is_absolute() or ".." in pure.parts:
         raise BadData(source, field, expected="a path inside the source folder", got=repr(relative))
     path = source / pure
     if not path.exists():
-        raise BadData(path, field, expected="a file", got="nothing there", fix="check SOURCE and the file names in it.")
+        raise BadData(path, field, expected="a file", got="no such path", fix="check SOURCE and the file names in it.")
     if not path.resolve().is_relative_to(source.resolve()):
         raise BadData(
-            path, field, expected="a file inside the source folder", got="a link out of it", fix="copy the file in."
+            path,
+            field,
+            expected="a file inside the source folder",
+            got="a link out of it",
+            fix="copy the file into it.",
         )
     if not stat.S_ISREG(path.stat().st_mode):
         raise BadData(path, field, expected="a regular file", got="something else")
@@ -43,7 +47,12 @@ def member(source: Path, relative: str, field: str) -> Path:
 
 
 def matching(source: Path, pattern: str, option: str) -> dict[str, Path]:
-    """Files that fit `pattern`, by the text that its one `*` matches, in natural order."""
+    """Files that match `pattern`, by the text that its one `*` matches, in natural order.
+
+    Raises:
+        UsageError: the pattern has not exactly one `*`, or leaves the folder.
+        BadData: no file matches.
+    """
     if pattern.count("*") != 1:
         raise UsageError(
             f"--{option}", expected="a pattern with one *", got=repr(pattern), fix="for example 'frame-*.color.png'."
@@ -52,31 +61,31 @@ def matching(source: Path, pattern: str, option: str) -> dict[str, Path]:
         raise UsageError(f"--{option}", expected="a pattern inside SOURCE", got=repr(pattern))
     before, after = pattern.split("*")
     key = re.compile(f"{re.escape(before)}([^/]+){re.escape(after)}")
-    found = {}
+    files = {}
     for path in source.glob(f"{glob.escape(before)}*{glob.escape(after)}"):
         relative = path.relative_to(source).as_posix()
         if match := key.fullmatch(relative):
-            found[match.group(1)] = member(source, relative, f"--{option}")
-    if not found:
+            files[match.group(1)] = member(source, relative, f"--{option}")
+    if not files:
         raise BadData(
-            source, f"--{option}", expected=f"files that fit {pattern!r}", got="none", fix=f"pass --{option} PATTERN."
+            source, f"--{option}", expected=f"files that match {pattern!r}", got="none", fix=f"pass --{option} PATTERN."
         )
-    return {name: found[name] for name in sorted(found, key=natural)}
+    return {name: files[name] for name in sorted(files, key=natural)}
 
 
 def natural(text: str) -> list[tuple[int, int, str]]:
-    """A sort key that orders frame 9 before frame 10."""
+    """Sort key that orders frame 9 before frame 10."""
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"([0-9]+)", text) if part]
 
 
 def frame_number(name: str) -> int | None:
-    """The last whole number in a frame's name; None when there is none."""
+    """The last integer in a frame's name; None if there is none."""
     numbers = re.findall(r"[0-9]+", name)
     return int(numbers[-1]) if numbers else None
 
 
 def paired(source: Path, groups: dict[str, dict[str, Path]]) -> list[str]:
-    """The frames' names, after checking that each has a file in every group."""
+    """Names of the frames, after checking that each has a file in every group; `BadData` otherwise."""
     names = {name for group in groups.values() for name in group}
     for kind, group in groups.items():
         missing = sorted(names - set(group), key=natural)
@@ -86,19 +95,19 @@ def paired(source: Path, groups: dict[str, dict[str, Path]]) -> list[str]:
                 f"frame {listed(missing)}",
                 expected=f"a {kind} file for every frame",
                 got=f"none for {len(missing)} of {len(names)}",
-                fix=f"check --{kind}; move frames away that have no {kind}.",
+                fix=f"check --{kind}, or remove the frames without {kind}.",
             )
     return sorted(names, key=natural)
 
 
 def listed(names: Sequence[str], limit: int = 5) -> str:
-    """The first few names and how many more there are."""
+    """The first names, and the number of further ones."""
     rest = len(names) - limit
     return ", ".join(names[:limit]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def read_bytes(path: Path, limit: int = MAX_IMAGE_BYTES) -> bytes:
-    """A file's bytes, when there are any and not too many."""
+    """A file's bytes; `BadData` for an empty file, or one above the limit in bytes."""
     size = path.stat().st_size
     if size == 0:
         raise BadData(path, "size", expected="some bytes", got="an empty file", fix="copy it again from its source.")
@@ -108,7 +117,7 @@ def read_bytes(path: Path, limit: int = MAX_IMAGE_BYTES) -> bytes:
 
 
 def read_lines(path: Path) -> list[str]:
-    """A text file's lines that say something: no comments, no blanks."""
+    """Lines of a text file without comments and blank lines; `BadData` for a binary file."""
     data = read_bytes(path, MAX_TEXT_BYTES)
     try:
         text = data.decode("utf-8-sig")
@@ -121,7 +130,7 @@ def read_lines(path: Path) -> list[str]:
 
 
 def numbers(path: Path, line: str) -> list[float]:
-    """The numbers in a line, separated by blanks or commas."""
+    """Numbers in a line, separated by spaces or commas; `BadData` for anything else."""
     try:
         return [float(word) for word in line.replace(",", " ").split()]
     except ValueError:

@@ -1,4 +1,4 @@
-"""A folder of colour, depth and pose files: 7-Scenes, 3DMatch, and what most labs write themselves."""
+"""A folder of colour, depth and pose files: 7-Scenes, 3DMatch, and custom dumps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from bask_data.formats.recording import SourceRecording
 
 
 def read(source: Path, options: FramesOptions) -> SourceRecording:
-    """The recording in `source`; see `FramesOptions` for what the files are taken to mean."""
+    """The recording in `source`; see `FramesOptions` for how the files are interpreted."""
     source_folder(source)
     groups = {"color": matching(source, options.color, "color"), "depth": matching(source, options.depth, "depth")}
     if "*" in options.pose:
@@ -36,10 +36,10 @@ def read(source: Path, options: FramesOptions) -> SourceRecording:
     color, depth = (tuple(groups[kind][name] for name in names) for kind in ("color", "depth"))
     if "*" in options.pose:
         pose_files = [groups["pose"][name] for name in names]
-        given = read_poses(pose_files)
+        poses = read_poses(pose_files)
     else:
         pose_files = [member(source, options.pose, "--pose")]
-        given = _poses_of_lines(pose_files[0], names)
+        poses = _poses_of_lines(pose_files[0], names)
     K, intrinsics_files = parse_intrinsics(source, options.intrinsics)
     clock = _clock(source, names, options)
     camera = camera_recording(
@@ -48,7 +48,7 @@ def read(source: Path, options: FramesOptions) -> SourceRecording:
         K,
         options.intrinsics_size,
         options.depth_scale,
-        to_world_from_camera(given, options.pose_is, options.axes),
+        to_world_from_camera(poses, options.pose_is, options.axes),
         clock.time,
     )
     return SourceRecording(
@@ -56,21 +56,25 @@ def read(source: Path, options: FramesOptions) -> SourceRecording:
         robot=None,
         label_names={},
         assumptions=_assumptions(options, clock.assumption)
-        | {"agreement": agreement(camera, _otherwise(given, options))},
+        | {"agreement": agreement(camera, _otherwise(poses, options))},
         files=(*color, *depth, *pose_files, *intrinsics_files, *clock.files),
     )
 
 
-def to_world_from_camera(given: Float[ndarray, "t 4 4"], pose_is: str, axes: str) -> Float[ndarray, "t 4 4"]:
-    """The poses of OpenCV cameras, from poses given either way round and for either kind of camera axes."""
-    world_from_cameras = invert_rigid(given) if pose_is == "camera_from_world" else given
+def to_world_from_camera(poses: Float[ndarray, "t 4 4"], pose_is: str, axes: str) -> Float[ndarray, "t 4 4"]:
+    """world_from_camera of OpenCV cameras.
+
+    Args:
+        poses: transforms in the direction and for the camera axes stated by `FramesOptions.pose_is` and `.axes`.
+    """
+    world_from_cameras = invert_rigid(poses) if pose_is == "camera_from_world" else poses
     return world_from_cameras @ OPENCV_FROM_OPENGL if axes == "opengl" else world_from_cameras
 
 
-def _otherwise(given: Float[ndarray, "t 4 4"], options: FramesOptions) -> dict[str, Float[ndarray, "t 4 4"]]:
-    """The same poses under the three other readings."""
+def _otherwise(poses: Float[ndarray, "t 4 4"], options: FramesOptions) -> dict[str, Float[ndarray, "t 4 4"]]:
+    """The poses under the three other interpretations, by the options for them."""
     return {
-        f"--pose-is {pose_is} --axes {axes}": to_world_from_camera(given, pose_is, axes)
+        f"--pose-is {pose_is} --axes {axes}": to_world_from_camera(poses, pose_is, axes)
         for pose_is in ("world_from_camera", "camera_from_world")
         for axes in ("opencv", "opengl")
         if (pose_is, axes) != (options.pose_is, options.axes)
@@ -82,7 +86,7 @@ def _raw_values(text: str) -> tuple[int, ...]:
 
 
 def _poses_of_lines(path: Path, names: list[str]) -> Float[ndarray, "t 4 4"]:
-    """Poses from a file with one a line: in the frames' order, or with the frame's number before seven numbers."""
+    """Poses from a file with one per line, in the order of frames or with the frame's number before seven numbers."""
     rows = [numbers(path, line) for line in read_lines(path)]
     if rows and all(len(row) == 8 for row in rows):
         by_number = {row[0]: row[1:] for row in rows}
@@ -99,6 +103,8 @@ def _poses_of_lines(path: Path, names: list[str]) -> Float[ndarray, "t 4 4"]:
 
 @dataclass(frozen=True)
 class _Clock:
+    """Times of the frames, seconds, how they were obtained, and the files that state them."""
+
     time: Float[ndarray, " t"]
     assumption: str
     files: tuple[Path, ...] = ()

@@ -1,7 +1,7 @@
-"""Image files: looked at before they are decoded, so that a broken, disguised or gigantic one is refused by name.
+"""Image files, checked before they are decoded: corrupted, mislabelled and huge files are refused with their name.
 
-OpenCV returns nothing for an unreadable file, decodes a truncated one as far as it goes, and turns JPEGs by their EXIF
-tag. All three would go through silently.
+OpenCV returns None for an unreadable file, decodes a truncated one as far as possible, and rotates JPEGs by their EXIF
+tag, all without an error.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from bask_data.errors import BadData
 from bask_data.formats.files import read_bytes
 
 MAX_PIXELS = 100_000_000
-"""Largest image that is decoded, by its header: a camera of 100 megapixels. A small file may claim any size, and
-decoding would take the memory for it."""
+"""Largest image that is decoded, by its header: 100 megapixels. A small file may claim any size, and decoding would
+allocate memory for it."""
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
@@ -30,7 +30,7 @@ PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What an image file says of itself before it is decoded."""
+    """Size in pixels, bits per channel and number of channels of an image file."""
 
     height: int
     width: int
@@ -39,10 +39,13 @@ class ImageHeader:
 
 
 def image_header(path: Path, data: bytes | None = None) -> ImageHeader:
-    """The header of a PNG, JPEG, PGM or PPM file that is whole.
+    """Header of a complete PNG, JPEG, PGM or PPM file.
+
+    Args:
+        data: content of the file; read from `path` if None.
 
     Raises:
-        BadData: another format, cut short, a wrong checksum, or too many pixels.
+        BadData: another format, a truncated file, a wrong checksum, or more than `MAX_PIXELS`.
     """
     data = read_bytes(path) if data is None else data
     if data.startswith(PNG_SIGNATURE):
@@ -63,7 +66,7 @@ def image_header(path: Path, data: bytes | None = None) -> ImageHeader:
 
 
 def read_color(path: Path) -> UInt8[ndarray, "h w 3"]:
-    """A colour image, RGB. Gray is repeated, transparency dropped, an EXIF rotation ignored: K knows nothing of it."""
+    """A colour image as RGB. Grey is repeated, transparency dropped; EXIF rotation is ignored, as it is by K."""
     data = read_bytes(path)
     header = image_header(path, data)
     check_color(path, header)
@@ -88,31 +91,31 @@ def read_labels(path: Path) -> UInt8[ndarray, "h w"]:
 
 
 def check_color(path: Path, header: ImageHeader) -> None:
-    """Refuses colour of more than 8 bits a channel: how to scale it down is not ours to guess."""
+    """Refuse colour with more than 8 bits per channel, whose scaling is unknown; `BadData`."""
     if header.bits != 8:
         raise BadData(
             path,
             "colour",
-            expected="8 bits a channel",
+            expected="8 bits per channel",
             got=f"{header.bits}",
-            fix="convert the image to 8 bits a channel.",
+            fix="convert the image to 8 bits per channel.",
         )
 
 
 def check_depth(path: Path, header: ImageHeader) -> None:
-    """Refuses anything but one channel of 16 bits."""
+    """Refuse anything but one channel of 16 bits; `BadData`."""
     if (header.bits, header.channels) != (16, 1):
         raise BadData(
             path,
             "depth",
             expected="one channel of 16 bits",
             got=f"{header.channels} of {header.bits}",
-            fix="export raw 16-bit depth: 8 bits or colours are for looking at only. Or check --depth.",
+            fix="check --depth, or export raw 16-bit depth: 8-bit and coloured depth images are for display only.",
         )
 
 
 def check_labels(path: Path, header: ImageHeader) -> None:
-    """Refuses anything but one channel of 8 bits: a palette would decode to colours."""
+    """Refuse anything but one channel of 8 bits, as palettes decode to colours; `BadData`."""
     if (header.bits, header.channels) != (8, 1):
         raise BadData(path, "labels", expected="one channel of 8 bits", got=f"{header.channels} of {header.bits}")
 
@@ -133,14 +136,14 @@ def _decode(path: Path, data: bytes, header: ImageHeader, flags: int) -> ndarray
     return image
 
 
-def _truncated(path: Path, what: str) -> BadData:
+def _truncated(path: Path, expected: str) -> BadData:
     return BadData(
-        path, "image", expected=what, got="a file cut short or damaged", fix="copy it again from its source."
+        path, "image", expected=expected, got="a truncated or corrupted file", fix="copy it again from its source."
     )
 
 
 def _png_header(path: Path, data: bytes) -> ImageHeader:
-    """Walks all chunks: their checksums cost a millisecond and catch what the decoder lets through with a warning."""
+    """Header of a PNG. Checksums of all chunks take a millisecond and catch errors that decoders only warn about."""
     position, header = len(PNG_SIGNATURE), None
     while position + 12 <= len(data):
         length = int.from_bytes(data[position : position + 4], "big")
@@ -160,7 +163,7 @@ def _png_header(path: Path, data: bytes) -> ImageHeader:
 
 
 def _jpeg_header(path: Path, data: bytes) -> ImageHeader:
-    """Walks the segments up to the picture, then looks for its end: a thumbnail before it has an end marker as well."""
+    """Header of a JPEG. Its end marker is searched after the segments, as embedded thumbnails have one, too."""
     position, header = 2, None
     while position + 4 <= len(data) and data[position] == 0xFF:
         marker = data[position + 1]

@@ -1,4 +1,4 @@
-"""What a user states about somebody else's files: one model per format; each description is an option's help."""
+"""Options of the readers, one model per format; descriptions are the help of `bask-data ingest <format>`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pydantic import BeforeValidator, Field, FiniteFloat
 from bask_data.params import Params
 
 Text = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(value, int | float) else value)]
-"""A text that a configuration file may spell as a number: `invalid_depth: 65535`."""
+"""A text that may be a number in a configuration file: `invalid_depth: 65535`."""
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
-"""A camera's name becomes the name of a folder."""
+"""Pattern of a camera's name, which becomes the name of a folder."""
 
 
 class FramesOptions(Params):
@@ -20,12 +20,15 @@ class FramesOptions(Params):
 
     camera: str = Field("camera", pattern=NAME, description="Name of the camera in the dataset: wrist, overhead.")
     color: str = Field(
-        "frame-*.color.png", description="Colour files, relative to SOURCE; what * matches pairs the files of a frame."
+        "frame-*.color.png",
+        description="Colour files, relative to SOURCE; the text matched by * pairs the files of a frame.",
     )
-    depth: str = Field("frame-*.depth.png", description="Depth files: 16-bit PNG or PGM, as large as the colour.")
+    depth: str = Field(
+        "frame-*.depth.png", description="Depth files: 16-bit PNG or PGM, of the size of the colour images."
+    )
     pose: str = Field(
         "frame-*.pose.txt",
-        description="Pose files: 4x4 or 3x4 matrix, or tx ty tz qx qy qz qw. Without *, one file with a pose a line.",
+        description="Pose files: 4x4 or 3x4 matrix, or tx ty tz qx qy qz qw. Without *: one file, one pose per line.",
     )
     intrinsics: Text = Field(
         "", description="Pinhole intrinsics: fx,fy,cx,cy in pixels, or a text file of 4 numbers or a 3x3 matrix."
@@ -33,7 +36,7 @@ class FramesOptions(Params):
     intrinsics_size: str = Field(
         "",
         pattern=r"^(\d+x\d+)?$",
-        description="WIDTHxHEIGHT of the images that the intrinsics were measured on; held against the files.",
+        description="WIDTHxHEIGHT of the images used to calibrate the intrinsics; checked against the files.",
     )
     depth_scale: FiniteFloat = Field(
         0.001, gt=0, description="Metres per unit of the depth files: 0.001 for millimetres, 0.0002 for TUM's."
@@ -41,10 +44,10 @@ class FramesOptions(Params):
     invalid_depth: Text = Field(
         "",
         pattern=r"^(\d+(,\d+)*)?$",
-        description="Raw depth values that mean no measurement besides 0, separated by commas: 65535.",
+        description="Raw depth values besides 0 that mean no measurement, separated by commas: 65535.",
     )
     pose_is: Literal["world_from_camera", "camera_from_world"] = Field(
-        "world_from_camera", description="What a pose file holds: the camera in the world, or the world in the camera."
+        "world_from_camera", description="Direction of the poses: camera to world (usual), or world to camera."
     )
     axes: Literal["opencv", "opengl"] = Field(
         "opencv", description="Camera axes of the poses: opencv (y down, z forward) or opengl (y up, z backward)."
@@ -52,7 +55,7 @@ class FramesOptions(Params):
     fps: FiniteFloat = Field(30.0, gt=0, description="Frames per second: time is frame number / fps.")
     timestamps: str = Field(
         "",
-        description="Instead of --fps: a text file with a time in seconds a line, or `name`: * matches the time.",
+        description="Instead of --fps: a text file with one time in seconds per line, or `name` if * matches the time.",
     )
 
 
@@ -62,16 +65,16 @@ class TumOptions(Params):
     camera: str = Field("camera", pattern=NAME, description="Name of the camera in the dataset: wrist, overhead.")
     intrinsics: Text = Field(
         "",
-        description="freiburg1, freiburg2 or freiburg3: the benchmark's calibration; else fx,fy,cx,cy or a text file.",
+        description="freiburg1, freiburg2 or freiburg3: the benchmark's calibration; or fx,fy,cx,cy, or a text file.",
     )
     intrinsics_size: str = Field(
         "",
         pattern=r"^(\d+x\d+)?$",
-        description="WIDTHxHEIGHT of the images that the intrinsics were measured on; held against the files.",
+        description="WIDTHxHEIGHT of the images used to calibrate the intrinsics; checked against the files.",
     )
     depth_scale: FiniteFloat = Field(0.0002, gt=0, description="Metres per unit of the depth files.")
     max_time_difference: FiniteFloat = Field(
-        0.02, gt=0, description="Seconds that depth and pose may lie apart from the colour image they go with."
+        0.02, gt=0, description="Largest difference in seconds between a colour image and its depth and pose."
     )
 
 
@@ -80,6 +83,6 @@ class ApcOptions(Params):
 
     camera: str = Field("wrist", pattern=NAME, description="Name of the camera in the dataset.")
     world: Literal["auto", "bin", "robot"] = Field(
-        "auto", description="World frame: the shelf bin's, the robot's, or the bin's where the files state it (auto)."
+        "auto", description="World frame: the shelf bin's, the robot's, or the bin's if the files state it (auto)."
     )
     fps: FiniteFloat = Field(1.0, gt=0, description="Frames per second: time is frame number / fps.")

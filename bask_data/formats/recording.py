@@ -1,4 +1,4 @@
-"""What every reader returns: somebody else's recording in our frames and units, frames read on demand."""
+"""The return type of readers: a recording converted to our frames and units, with frames read on demand."""
 
 from __future__ import annotations
 
@@ -12,10 +12,13 @@ from numpy import ndarray
 
 @dataclass(frozen=True)
 class CameraRecording:
-    """One camera's frames.
+    """Frames of one camera.
 
-    `read(i)` gives colour (RGB) and raw depth, 0 = no measurement; metres are `depth * depth_scale`. `labels(i)` gives
-    an object's label at each pixel, 0 = none: truth, for reports only.
+    Args:
+        depth_scale: metres per unit of raw depth.
+        time: seconds.
+        read: RGB and raw depth of a frame, 0 = no measurement.
+        labels: object label at each pixel of a frame, 0 = none: ground truth, for reports only.
     """
 
     name: str
@@ -30,12 +33,13 @@ class CameraRecording:
 
     @property
     def n_frames(self) -> int:
+        """Number of frames."""
         return len(self.time)
 
 
 @dataclass(frozen=True)
 class RobotRecording:
-    """What the robot reported at each frame; None for what the source does not hold."""
+    """The robot's state and action at each frame; None where the source has none. The gripper's width is in metres."""
 
     world_from_gripper: Float[ndarray, "t 4 4"] | None = None
     gripper_width: Float[ndarray, " t"] | None = None
@@ -45,10 +49,10 @@ class RobotRecording:
 
 @dataclass(frozen=True)
 class ObjectPose:
-    """Where a static object stands: truth, for reports only.
+    """Ground-truth pose of a static object, for reports only.
 
     Args:
-        error: metres the transform may be wrong by, as whoever made it says.
+        error: error of the transform stated by its source, metres.
     """
 
     world_from_object: Float[ndarray, "4 4"]
@@ -59,8 +63,11 @@ class ObjectPose:
 class SourceRecording:
     """A scan or a demonstration as read.
 
-    `assumptions` says in words what the files do not; the caller prints and records it. `files` are all the source
-    files that were used, for digesting.
+    Args:
+        label_names: names of the objects by label.
+        assumptions: what the files do not state, in words; printed, and stored in the recording.
+        files: all source files that were used, for the digest.
+        object_poses: ground-truth poses by label.
     """
 
     cameras: tuple[CameraRecording, ...]
@@ -72,5 +79,5 @@ class SourceRecording:
 
     @property
     def has_labels(self) -> bool:
-        """Whether any camera comes with labels."""
+        """Whether any camera has labels."""
         return any(camera.labels for camera in self.cameras)

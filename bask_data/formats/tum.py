@@ -20,11 +20,11 @@ INTRINSICS = {
     "freiburg2": "520.9,521.0,325.1,249.7",
     "freiburg3": "535.4,539.2,320.1,247.6",
 }
-"""The benchmark's published calibration of the colour camera of each of its three rigs."""
+"""The benchmark's published intrinsics fx, fy, cx, cy, pixels, of the colour cameras of its three rigs."""
 
 
 def read(source: Path, options: TumOptions) -> SourceRecording:
-    """The frames of `source` whose colour, depth and pose lie close enough in time."""
+    """The frames in `source` for which colour, depth and pose are close enough in time."""
     source_folder(source)
     color_time, color_files = _file_list(source, "rgb.txt")
     depth_time, depth_files = _file_list(source, "depth.txt")
@@ -38,7 +38,7 @@ def read(source: Path, options: TumOptions) -> SourceRecording:
             "timestamps",
             expected=f"colour, depth and pose within {options.max_time_difference:g} s",
             got=f"none of {len(color_time)} colour images",
-            fix="pass a larger --max-time-difference, in seconds, or check that the clocks agree.",
+            fix="check that the clocks agree, or pass a larger --max-time-difference.",
         )
     world_from_cameras = np.stack(
         [parse_pose(f"{source / 'groundtruth.txt'}: time {pose_time[k]:.6f}", poses[k]) for k in pose_of[used]]
@@ -70,7 +70,7 @@ def read(source: Path, options: TumOptions) -> SourceRecording:
 
 
 def nearest(time: Float[ndarray, " n"], other: Float[ndarray, " m"], limit: float) -> Int[ndarray, " n"]:
-    """The index of the nearest of the other times, which ascend; -1 where it is more than `limit` seconds off."""
+    """Index of the nearest of the other times, seconds, which ascend; -1 if it is more than `limit` away."""
     after = np.clip(np.searchsorted(other, time), 0, len(other) - 1)
     before = np.maximum(after - 1, 0)
     index = np.where(np.abs(other[before] - time) <= np.abs(other[after] - time), before, after)
@@ -78,7 +78,7 @@ def nearest(time: Float[ndarray, " n"], other: Float[ndarray, " m"], limit: floa
 
 
 def mutual_nearest(time: Float[ndarray, " n"], other: Float[ndarray, " m"], limit: float) -> Int[ndarray, " n"]:
-    """As `nearest`, but each of the others goes to the one time it is nearest to: no depth image is used twice."""
+    """As `nearest`, for pairs that are each other's nearest only, so that no depth image is used twice."""
     forth, back = nearest(time, other, limit), nearest(other, time, limit)
     return np.where((forth >= 0) & (back[forth] == np.arange(len(time))), forth, -1)
 
@@ -99,7 +99,7 @@ def _file_list(source: Path, name: str) -> tuple[Float[ndarray, " n"], list[str]
     path = member(source, name, name)
     words = [line.split(maxsplit=1) for line in read_lines(path)]
     if not words or any(len(line) != 2 for line in words):
-        raise BadData(path, "lines", expected="`timestamp file` in each", got=f"{len(words)} lines, not all so")
+        raise BadData(path, "lines", expected="`timestamp file` in each", got=f"{len(words)} lines, some without")
     time = np.array([numbers(path, stamp)[0] for stamp, _ in words], dtype=np.float64)
     _check_ascending(path, time)
     return time, [file for _, file in words]
@@ -110,7 +110,7 @@ def _pose_list(source: Path, name: str) -> tuple[Float[ndarray, " n"], list[list
     rows = [numbers(path, line) for line in read_lines(path)]
     if not rows or any(len(row) != 8 for row in rows):
         raise BadData(
-            path, "lines", expected="`timestamp tx ty tz qx qy qz qw` in each", got=f"{len(rows)} lines, not all so"
+            path, "lines", expected="`timestamp tx ty tz qx qy qz qw` in each", got=f"{len(rows)} lines, some without"
         )
     time = np.array([row[0] for row in rows])
     _check_ascending(path, time)
@@ -119,4 +119,11 @@ def _pose_list(source: Path, name: str) -> tuple[Float[ndarray, " n"], list[list
 
 def _check_ascending(path: Path, time: Float[ndarray, " n"]) -> None:
     if not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
-        raise BadData(path, "timestamps", expected="finite times that grow from line to line", got="others")
+        bad = int(np.argmin(np.isfinite(time) & (np.diff(time, prepend=-np.inf) > 0)))
+        raise BadData(
+            path,
+            "timestamps",
+            expected="finite times that increase from line to line",
+            got=f"{time[bad]:g} s in data line {bad + 1}",
+            fix="sort the lines by time, and remove duplicates.",
+        )

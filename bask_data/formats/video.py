@@ -1,4 +1,4 @@
-"""Video files that a browser plays: H.264 in mp4."""
+"""Video files for browsers: H.264 in mp4."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from numpy import ndarray
 from bask_data.errors import BaskError, imported
 
 BT_709, BT_601 = 1, 6
-"""FFmpeg's numbers of the colours of high-definition video and of what is older."""
+"""FFmpeg's codes of the colour standards of high-definition and older video."""
 
 
 def import_av() -> ModuleType:
-    """The module `av`; `MissingDependency` where it is not installed."""
+    """The module `av`; `MissingDependency` if it is not installed."""
     return imported("av", "PyAV", user="video", extra="export")
 
 
 class VideoWriter:
-    """Writes frames, one by one, to an mp4 file that appears when the `with` block ends well.
+    """Writer of an mp4 file, frame by frame; the file appears when the `with` block ends without an error.
 
-    The same frames give the same bytes wherever the same PyAV is installed.
+    The same frames give the same bytes with the same version of PyAV.
 
         with VideoWriter(path, fps=30, size=(height, width)) as video:
             for image in images:
@@ -43,14 +43,14 @@ class VideoWriter:
         keyframe_every: int = 30,
         quality: int = 18,
     ) -> None:
-        """Say what will be written.
+        """Prepare writing; the file is opened by `with`.
 
         Args:
             fps: frames per second.
-            size: (height, width) of every frame.
-            keyframe_every: frames from one that can be decoded by itself to the next; few make seeking fast.
-            quality: x264's constant rate factor: 0 loses nothing but colour resolution, 18 nothing that is seen, 51
-                nearly all.
+            size: (height, width) of every frame, pixels.
+            keyframe_every: distance of keyframes, frames; a small one makes seeking fast.
+            quality: x264's constant rate factor: 0 is lossless except for colour resolution, 18 visually lossless, 51
+                the worst.
 
         Raises:
             ValueError: `fps` or `size` is not positive.
@@ -70,20 +70,20 @@ class VideoWriter:
 
     @property
     def coded_size(self) -> tuple[int, int]:
-        """(height, width) of the file's frames: its colours are stored for two by two pixels, so both are even."""
+        """(height, width) of the file's frames, pixels: even, as colours are stored per two by two pixels."""
         height, width = self.size
         return height + height % 2, width + width % 2
 
     @property
     def n_bytes(self) -> int:
-        """How much is written so far, but for what is still being coded."""
+        """Bytes written so far, without frames that are still being encoded."""
         return self._unfinished.stat().st_size if self._unfinished.exists() else 0
 
     def __enter__(self) -> VideoWriter:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            # The index goes in front, so that a browser plays before it has all; no date and no library's version
-            # inside, so that the bytes depend on the frames.
+            # The index comes first, so that browsers play before the download ends. Dates and library versions are left
+            # out, so that the bytes depend on the frames only.
             options = {"movflags": "+faststart", "fflags": "+bitexact"}
             self._container = self._av.open(str(self._unfinished), "w", format="mp4", options=options)
             self._stream = self._new_stream()
@@ -106,10 +106,10 @@ class VideoWriter:
             self._close(whole)
 
     def append(self, rgb: UInt8[ndarray, "h w 3"]) -> None:
-        """Add a frame. Odd sizes are made even by repeating the last row or column.
+        """Append a frame; odd sizes are padded by repeating the last row or column.
 
         Raises:
-            ValueError: the frame has another size than announced, or (at the end) there was none.
+            ValueError: the frame's size differs from the video's.
             BaskError: the file cannot be written.
         """
         if rgb.shape[:2] != self.size:
@@ -131,15 +131,15 @@ class VideoWriter:
         stream.pix_fmt = "yuv420p"
         stream.time_base = 1 / self.fps
         context = stream.codec_context
-        # Players read how colours are coded; what reads frames for a network (torchvision, PyAV) takes the older way
-        # for granted. So that is the one written, and said.
+        # Players read the colour standard from the file; readers for networks (torchvision, PyAV) assume BT.601. So
+        # BT.601 is written and declared.
         context.color_primaries = context.color_trc = BT_709
         context.colorspace = BT_601
         context.color_range = 1  # 16 to 235, as in nearly every video
         context.gop_size = self._keyframe_every
-        # x264 splits its work by the number of threads, and a machine's would be in the bytes.
+        # x264's output depends on the number of threads.
         context.thread_count = 1
-        # A scene cut would set a keyframe of its own, and frames that lean on later ones make seeking inexact.
+        # Scene cuts would add keyframes, and frames predicted from later ones make seeking inexact.
         stream.options = {
             "crf": str(self._quality),
             "preset": "medium",
@@ -165,5 +165,5 @@ class VideoWriter:
             self._unfinished.unlink(missing_ok=True)
 
     def _unwritable(self, error: OSError) -> BaskError:
-        got = str(error)[:200]
-        return BaskError(self.path, "", expected="a file that takes all", got=got, fix="see that the disk has room.")
+        got, fix = str(error)[:200], "free disk space, or check the permissions of the folder."
+        return BaskError(self.path, "", expected="a writable file", got=got, fix=fix)

@@ -1,4 +1,4 @@
-"""Folders of frames as strangers write them, small and exactly known."""
+"""Small folders of frames with known content, in the layout of users' dumps."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def write_frames(folder: Path, poses: Float[ndarray, "t 4 4"], names: list[str] 
 
 
 def median_depth_disagreement(recording: SourceRecording, a: int, b: int) -> float:
-    """How far the depth of frame a, moved into frame b, lies from what b measured there: the median, metres."""
+    """Median difference, metres, between the depth of frame a moved into frame b and the depth measured in b."""
     from bask_data.core.geometry import in_image, invert_rigid, pixel_grid, project, transform, unproject
 
     camera = recording.cameras[0]

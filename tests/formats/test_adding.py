@@ -1,4 +1,4 @@
-"""A format is added as the docstring of `bask_data/formats/__init__.py` says, and nowhere else."""
+"""A format is added in the places listed in the docstring of `bask_data/formats/__init__.py`, and no others."""
 
 from __future__ import annotations
 

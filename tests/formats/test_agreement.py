@@ -19,7 +19,7 @@ def turned(angle: float, offset: tuple[float, float, float]) -> Float[ndarray, "
 
 
 def camera_before_a_wall(world_from_cameras: Float[ndarray, "t 4 4"]) -> CameraRecording:
-    """Sees the plane z = 1 + x / 2 of the world: depth is a formula."""
+    """A camera that sees the plane z = 1 + x / 2 in the world frame, with analytic depth."""
 
     def read(i: int) -> tuple[ndarray, ndarray]:
         world_from_camera = world_from_cameras[i]
@@ -36,23 +36,23 @@ def camera_before_a_wall(world_from_cameras: Float[ndarray, "t 4 4"]) -> CameraR
 POSES = np.stack([turned(0.1 * i, (0.05 * i, 0.0, 0.02 * i)) for i in range(4)])
 
 
-def test_true_poses_agree_with_the_depth_of_a_wall() -> None:
+def test_exact_poses_agree_with_the_depth_of_a_wall() -> None:
     assert agreement(camera_before_a_wall(POSES), {}).startswith("100% of the depth of a frame")
 
 
-def test_a_better_reading_is_named() -> None:
+def test_a_better_interpretation_of_the_poses_is_named() -> None:
     camera = camera_before_a_wall(POSES)
     wrong = CameraRecording("c", K, 60, 80, 1e-4, invert_rigid(POSES), camera.time, camera.read)
-    said = agreement(wrong, {"--pose-is other": POSES, "--axes worse": invert_rigid(POSES) @ POSES})
-    assert said.endswith("with --pose-is other it would be 100%: look at the options")
+    text = agreement(wrong, {"--pose-is other": POSES, "--axes worse": invert_rigid(POSES) @ POSES})
+    assert text.endswith("with --pose-is other it would be 100%: look at the options")
 
 
-def test_disagreement_without_a_better_reading_is_told() -> None:
+def test_disagreement_without_a_better_interpretation_is_reported() -> None:
     camera = camera_before_a_wall(POSES)
-    # A scale alone would hardly show: these cameras mostly turn, and turning does not know how large the world is.
+    # A wrong scale alone would hardly show: these cameras mostly rotate, which does not depend on the scale.
     scaled = CameraRecording("c", K * [[2], [2], [1]], 60, 80, 5e-4, POSES, camera.time, camera.read)
     assert agreement(scaled, {}).endswith("look at the poses, the intrinsics and the depth scale")
 
 
-def test_a_single_frame_says_nothing() -> None:
+def test_a_single_frame_cannot_be_compared() -> None:
     assert agreement(camera_before_a_wall(POSES[:1]), {}) == "a single frame: nothing to hold the poses against"

@@ -38,13 +38,13 @@ def read(source: Path, **options: object) -> SourceRecording:
 
 @pytest.fixture
 def scan(tmp_path: Path) -> Path:
-    """A copy of the shipped scan that a test may spoil."""
+    """A copy of the shipped scan that a test may corrupt."""
     return Path(shutil.copytree(SCAN, tmp_path / "scan"))
 
 
 @pytest.fixture
 def demo(tmp_path: Path) -> Path:
-    """A copy of the shipped demonstration that a test may spoil."""
+    """A copy of the shipped demonstration that a test may corrupt."""
     return Path(shutil.copytree(DEMO, tmp_path / "demo"))
 
 
@@ -62,7 +62,7 @@ def test_the_depth_of_neighbouring_frames_agrees_in_the_shipped_recordings(sourc
         (DEMO, {48: "chenille stems", 132: "tissue box"}),
     ],
 )
-def test_the_shipped_recordings_are_read_whole(source: Path, names: dict[int, str]) -> None:
+def test_the_shipped_recordings_are_read_completely(source: Path, names: dict[int, str]) -> None:
     recording = read(source)
     (camera,) = recording.cameras
     assert (camera.n_frames, camera.height, camera.width, camera.depth_scale) == (15, 480, 640, 1e-4)
@@ -74,19 +74,19 @@ def test_the_shipped_recordings_are_read_whole(source: Path, names: dict[int, st
         labels = camera.labels(i)
         assert rgb.shape == (480, 640, 3)
         assert set(np.unique(labels)) == {0, *names}
-        # The box is teal: more green and blue than red says that the channels are in order.
+        # The box is teal: more green and blue than red shows that the channels are in order.
         red, green, blue = rgb[labels == 132].mean(axis=0)
         assert red < min(green, blue)
         assert 0.3 < np.median(depth[depth > 0]) * camera.depth_scale < 0.8
     assert len(recording.files) == (47 if source == SCAN else 62)
 
 
-def test_the_world_is_the_bin_where_the_files_state_it_and_else_the_robot() -> None:
+def test_the_world_frame_is_the_bin_if_the_files_state_it_and_else_the_robot() -> None:
     in_bin, in_robot = read(SCAN), read(SCAN, world="robot")
     assert "bin" in in_bin.assumptions["world"]
     assert "robot" in in_robot.assumptions["world"]
     assert "robot" in read(DEMO).assumptions["world"]
-    # The file's own numbers: where the bin's origin lies in the robot's frame, and its turn of 0.0158 rad about z.
+    # The file's numbers: the bin's origin in the robot's frame, and its rotation of 0.0158 rad about z.
     offset = in_robot.cameras[0].world_from_cameras[0, :3, 3] - [1.4732899, -0.00644825452, 1.0373053]
     turned = in_bin.cameras[0].world_from_cameras[0, :3, 3]
     assert np.allclose(
@@ -166,7 +166,7 @@ def test_an_unknown_label_keeps_its_number_as_its_name(demo: Path) -> None:
     assert read(demo).label_names[6] == "label 6"
 
 
-def test_the_truth_between_the_shipped_recordings_is_rigid_and_takes_box_to_box() -> None:
+def test_ground_truth_between_the_shipped_recordings_is_rigid_and_maps_objects_onto_themselves() -> None:
     truth = json.loads((DATASETS / "shelf_truth.json").read_text())
     scan_camera, demo_camera = (read(DATASETS / truth[side]).cameras[0] for side in ("scan", "demo"))
     assert [(item["label"], item["name"]) for item in truth["objects"]] == [(132, "tissue box"), (48, "chenille stems")]
@@ -184,16 +184,16 @@ def test_the_truth_between_the_shipped_recordings_is_rigid_and_takes_box_to_box(
             u, v = np.rint(uv[in_image(uv, 480, 640)]).astype(int).T
             hits += int((demo_camera.labels(i)[v, u] == item["label"]).sum())
             total += len(points)
-        # The stems' labels are up to 20 pixels off, and their far end is cut off in the demonstration's.
+        # The labels of the stems are up to 20 pixels off, and their far end lacks a label in the demonstration.
         assert hits / total > (0.9 if item["label"] == 132 else 0.5)
 
 
-def test_object_poses_come_in_the_chosen_world() -> None:
+def test_object_poses_are_in_the_chosen_world_frame() -> None:
     in_bin, in_robot = (read(SCAN, world=world) for world in ("bin", "robot"))
     cameras = [recording.cameras[0].world_from_cameras[0] for recording in (in_bin, in_robot)]
     objects = [recording.object_poses[132].world_from_object for recording in (in_bin, in_robot)]
     assert in_bin.object_poses[132].error == 0.008
-    # The same object seen from the same camera, whatever the world is called.
+    # camera_from_object does not depend on the world frame.
     np.testing.assert_allclose(*[invert_rigid(c) @ o for c, o in zip(cameras, objects, strict=True)], atol=1e-9)
 
 
@@ -206,7 +206,7 @@ def test_object_poses_come_in_the_chosen_world() -> None:
         ({"world": "bin", "objects": {"132": {"error": 1, "world_from_object": [[1, 2]]}}}, "132"),
     ],
 )
-def test_object_poses_that_say_nothing_are_refused(tmp_path: Path, document: object, message: str) -> None:
+def test_invalid_object_poses_are_refused(tmp_path: Path, document: object, message: str) -> None:
     folder = Path(shutil.copytree(SCAN, tmp_path / "shelf"))
     (folder / "object_poses.json").write_text(json.dumps(document))
     with pytest.raises(BadData, match=message):

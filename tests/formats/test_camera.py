@@ -17,7 +17,7 @@ VGA = ImageHeader(480, 640, 8, 3)
 
 
 @given(st.integers(0, 10**6))
-def test_a_pose_reads_the_same_as_matrix_of_four_rows_of_three_and_as_quaternion(seed: int) -> None:
+def test_a_pose_reads_the_same_as_matrix_of_four_or_three_rows_and_as_quaternion(seed: int) -> None:
     matrix = rigid(np.random.default_rng(seed))
     quat_xyzw = Rotation.from_matrix(matrix[:3, :3]).as_quat()
     for values in (matrix.ravel(), matrix[:3].ravel(), np.r_[matrix[:3, 3], quat_xyzw]):
@@ -25,7 +25,7 @@ def test_a_pose_reads_the_same_as_matrix_of_four_rows_of_three_and_as_quaternion
 
 
 @given(st.integers(0, 10**6))
-def test_rounding_in_the_text_is_taken_out(seed: int) -> None:
+def test_rounded_poses_are_made_exactly_rigid(seed: int) -> None:
     rounded = np.round(rigid(np.random.default_rng(seed)), 4)
     rotation = camera.parse_pose("pose.txt", rounded.ravel().tolist())[:3, :3]
     assert np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-14)
@@ -41,7 +41,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_pose_that_is_not_rigid_is_refused_and_says_how(fault: str) -> None:
+def test_a_pose_that_is_not_rigid_is_refused_with_its_fault(fault: str) -> None:
     with pytest.raises(BadData, match=f"pose.txt: pose: expected a rigid transform, got {fault}.*fix: "):
         camera.parse_pose("pose.txt", FAULTS[fault].ravel().tolist())
 
@@ -52,12 +52,12 @@ def test_a_pose_of_another_count_of_numbers_is_refused() -> None:
 
 
 @pytest.mark.parametrize("quaternion", [[0.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, float("nan")]])
-def test_a_quaternion_that_is_no_rotation_is_refused(quaternion: list[float]) -> None:
+def test_a_quaternion_without_unit_length_is_refused(quaternion: list[float]) -> None:
     with pytest.raises(BadData, match="expected a quaternion of length 1, got length"):
         camera.parse_pose("pose.txt", [0.0, 0.0, 0.0, *quaternion])
 
 
-def test_all_broken_poses_are_counted_in_one_go(tmp_path: Path) -> None:
+def test_all_invalid_poses_are_listed_in_one_message(tmp_path: Path) -> None:
     for i in range(4):
         (tmp_path / f"{i}.txt").write_text("nan " * 16 if i else "1 0 0 0 0 1 0 0 0 0 1 0")
     with pytest.raises(BadData, match="1.txt: pose: expected a rigid transform") as error:
@@ -84,7 +84,7 @@ def test_intrinsics_read_from_the_command_line() -> None:
     assert files == ()
 
 
-def test_missing_intrinsics_are_asked_for() -> None:
+def test_missing_intrinsics_are_reported() -> None:
     with pytest.raises(UsageError, match="--intrinsics: expected fx,fy,cx,cy or a file, got nothing"):
         camera.parse_intrinsics(Path(), "")
 
@@ -98,7 +98,7 @@ def test_intrinsics_of_another_count_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["-600,601,320,240", "600,0,320,240", "nan,600,320,240"])
-def test_intrinsics_that_are_no_pinhole_are_refused(text: str) -> None:
+def test_intrinsics_that_are_not_a_pinhole_matrix_are_refused(text: str) -> None:
     with pytest.raises(BadData, match="intrinsics: expected a pinhole matrix"):
         camera.parse_intrinsics(Path(), text)
 
@@ -110,7 +110,7 @@ def test_intrinsics_of_the_stated_size_must_be_the_images_size() -> None:
 
 
 @pytest.mark.parametrize("text", ["906,905,625,355", "306,306,150,120", "600,600,320,900"])
-def test_intrinsics_of_another_resolution_are_given_away_by_the_principal_point(text: str) -> None:
+def test_intrinsics_of_another_resolution_are_detected_by_the_principal_point(text: str) -> None:
     matrix, _ = camera.parse_intrinsics(Path(), text)
     with pytest.raises(
         BadData, match="expected a principal point near the middle of images of 640x480, got .*--intrinsics-size"
@@ -152,19 +152,19 @@ def test_an_image_of_another_size_is_named(tmp_path: Path) -> None:
     files = image_files(tmp_path, depth, color)
     write_image(tmp_path / "d1.png", np.ones((24, 32), np.uint16))
     with pytest.raises(
-        BadData, match="d1.png: size: expected 16 x 12 as in c0.png, got 32 x 24.  fix: colour and depth"
+        BadData, match="d1.png: size: expected 16 x 12 as in c0.png, got 32 x 24.  fix: export depth registered"
     ):
         read_camera(files)
 
 
 @pytest.mark.parametrize("time", [[0.0, 0.0], [1.0, 0.5], [0.0, float("nan")]])
-def test_time_that_does_not_grow_is_refused(tmp_path: Path, time: list[float]) -> None:
+def test_time_that_does_not_increase_is_refused(tmp_path: Path, time: list[float]) -> None:
     color, depth = images(2)
-    with pytest.raises(BadData, match="c1.png: time: expected finite times that grow from frame to frame"):
+    with pytest.raises(BadData, match="c1.png: time: expected finite times that increase with the frames"):
         read_camera(image_files(tmp_path, depth, color), time=time)
 
 
-def test_depth_that_is_invalid_everywhere_is_refused_but_one_frame_without_is_not(tmp_path: Path) -> None:
+def test_depth_that_is_invalid_everywhere_is_refused_but_not_in_a_single_frame(tmp_path: Path) -> None:
     color, depth = images(3)
     depth[0] = 0
     read_camera(image_files(tmp_path, depth, color))
@@ -173,7 +173,7 @@ def test_depth_that_is_invalid_everywhere_is_refused_but_one_frame_without_is_no
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-7])
-def test_a_depth_scale_that_makes_no_sense_is_refused(tmp_path: Path, scale: float) -> None:
+def test_an_implausible_depth_scale_is_refused(tmp_path: Path, scale: float) -> None:
     color, depth = images(1)
     with pytest.raises(BadData, match=r"depth: expected a median between 0.001 and 100 m, got .* m at .*--depth-scale"):
         read_camera(image_files(tmp_path, depth, color), scale=scale)

@@ -11,11 +11,11 @@ from bask_data.errors import BadData, UsageError
 from bask_data.formats import files
 
 
-def test_a_source_that_is_no_folder_is_refused(tmp_path: Path) -> None:
+def test_a_source_that_is_not_a_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(UsageError, match="SOURCE: expected a folder, got a file"):
         files.source_folder(tmp_path / "file")
-    with pytest.raises(UsageError, match="SOURCE: expected a folder, got nothing there"):
+    with pytest.raises(UsageError, match="SOURCE: expected a folder, got no such path"):
         files.source_folder(tmp_path / "missing")
 
 
@@ -26,7 +26,7 @@ def test_a_path_out_of_the_source_folder_is_refused(tmp_path: Path, relative: st
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(BadData, match="gone.txt: rgb.txt: expected a file, got nothing there"):
+    with pytest.raises(BadData, match="gone.txt: rgb.txt: expected a file, got no such path"):
         files.member(tmp_path, "gone.txt", "rgb.txt")
 
 
@@ -60,18 +60,18 @@ def test_a_pattern_out_of_the_source_folder_is_refused(tmp_path: Path, pattern: 
         files.matching(tmp_path, pattern, "color")
 
 
-def test_a_pattern_that_fits_no_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadData, match="--color: expected files that fit 'a-\\*.png', got none.  fix: pass --color"):
+def test_a_pattern_that_matches_no_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadData, match="--color: expected files that match 'a-\\*.png', got none.  fix: pass --color"):
         files.matching(tmp_path, "a-*.png", "color")
 
 
-def test_files_are_found_by_what_the_star_matches_with_frame_9_before_frame_10(tmp_path: Path) -> None:
+def test_files_are_named_by_the_text_that_the_star_matches_with_frame_9_before_frame_10(tmp_path: Path) -> None:
     for name in ("a[1]-10.png", "a[1]-9.png", "a[1]-9.txt", "a1-11.png"):
         (tmp_path / name).touch()
     assert list(files.matching(tmp_path, "a[1]-*.png", "color")) == ["9", "10"]
 
 
-def test_a_star_may_stand_for_a_folder(tmp_path: Path) -> None:
+def test_a_star_may_match_a_folder(tmp_path: Path) -> None:
     for name in ("2", "10"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "rgb.png").touch()
@@ -110,18 +110,18 @@ def test_an_empty_and_a_huge_file_are_refused_before_they_are_read(tmp_path: Pat
 
 
 @pytest.mark.parametrize("content", [b"\x80\x81\x82", b"1 2\x003"])
-def test_a_binary_file_is_no_text(tmp_path: Path, content: bytes) -> None:
+def test_a_binary_file_is_refused_as_text(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "pose.txt").write_bytes(content)
     with pytest.raises(BadData, match="content: expected text, got a binary file"):
         files.read_lines(tmp_path / "pose.txt")
 
 
-def test_comments_and_blank_lines_say_nothing(tmp_path: Path) -> None:
+def test_comments_and_blank_lines_are_skipped(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_bytes(b"\xef\xbb\xbf# title\r\n\r\n1 2 # two\r\n 3\r\n")
     assert files.read_lines(tmp_path / "a.txt") == ["1 2", "3"]
 
 
-def test_words_are_no_numbers(tmp_path: Path) -> None:
+def test_words_are_refused_as_numbers(tmp_path: Path) -> None:
     assert files.numbers(tmp_path, "1, 2e-3  nan")[:2] == [1.0, 0.002]
     with pytest.raises(BadData, match="content: expected numbers, got '1 __import__'"):
         files.numbers(tmp_path, "1 __import__")

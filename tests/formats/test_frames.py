@@ -34,7 +34,7 @@ def read(source: Path, **options: object) -> SourceRecording:
     st.booleans(),
     st.booleans(),
 )
-def test_what_was_written_in_any_convention_is_read_back(
+def test_poses_written_in_any_convention_are_read_back(
     tmp_path_factory, seed: int, n: int, form: str, inverse: bool, opengl: bool
 ) -> None:
     folder = tmp_path_factory.mktemp("frames")
@@ -72,7 +72,7 @@ def test_what_was_written_in_any_convention_is_read_back(
     assert sorted(recording.files) == sorted(folder.iterdir())
 
 
-def test_frames_come_in_the_order_of_their_numbers_with_time_from_them(tmp_path: Path) -> None:
+def test_frames_are_ordered_and_timed_by_their_numbers(tmp_path: Path) -> None:
     poses = np.stack([rigid(np.random.default_rng(i)) for i in range(3)])
     write_frames(tmp_path, poses, names=["9", "10", "2"])
     recording = read(tmp_path, fps=10)
@@ -81,7 +81,7 @@ def test_frames_come_in_the_order_of_their_numbers_with_time_from_them(tmp_path:
     assert recording.assumptions["time"] == "frame number / 10 per second"
 
 
-def test_frames_without_numbers_are_timed_by_their_place(tmp_path: Path) -> None:
+def test_frames_without_numbers_are_timed_by_their_position(tmp_path: Path) -> None:
     write_frames(tmp_path, np.stack([np.eye(4)] * 2), names=["left", "right"])
     recording = read(tmp_path, fps=2)
     assert recording.cameras[0].time.tolist() == [0, 0.5]
@@ -125,7 +125,7 @@ def test_depth_that_is_all_invalid_values_is_refused(tmp_path: Path) -> None:
         read(tmp_path, invalid_depth=65535)
 
 
-def test_poses_can_stand_in_one_file_in_order_or_by_frame_number(tmp_path: Path) -> None:
+def test_poses_can_be_in_one_file_in_order_or_by_frame_number(tmp_path: Path) -> None:
     poses = np.stack([rigid(np.random.default_rng(i)) for i in range(2)])
     write_frames(tmp_path, poses, names=["3", "12"])
     lines = [np.r_[pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_quat()] for pose in poses]
@@ -176,9 +176,9 @@ def test_a_broken_image_is_refused_before_any_frame_is_read(tmp_path: Path, kind
         read(tmp_path)
 
 
-def test_depth_and_colour_swapped_is_noticed(tmp_path: Path) -> None:
+def test_swapped_depth_and_colour_are_detected(tmp_path: Path) -> None:
     write_frames(tmp_path, np.eye(4)[None])
-    with pytest.raises(BadData, match="expected 8 bits a channel, got 16"):
+    with pytest.raises(BadData, match="expected 8 bits per channel, got 16"):
         read(tmp_path, color="frame-*.depth.png", depth="frame-*.color.png")
 
 
@@ -198,7 +198,7 @@ def test_depth_and_colour_swapped_is_noticed(tmp_path: Path) -> None:
         {"colour": "*"},
     ],
 )
-def test_options_that_make_no_sense_are_refused(options: dict[str, object]) -> None:
+def test_invalid_options_are_refused(options: dict[str, object]) -> None:
     with pytest.raises(pydantic.ValidationError):
         FramesOptions(**options)
 
@@ -215,7 +215,7 @@ def test_a_camera_can_be_sent_to_another_process(tmp_path: Path) -> None:
     st.binary(max_size=64),
     st.integers(0, 200),
 )
-def test_whatever_bytes_a_file_holds_the_answer_is_frames_or_an_error_with_its_name(
+def test_arbitrary_bytes_in_a_file_give_frames_or_an_error_with_its_name(
     tmp_path_factory, name: str, junk: bytes, at: int
 ) -> None:
     folder = tmp_path_factory.mktemp("junk")
@@ -231,12 +231,12 @@ def test_whatever_bytes_a_file_holds_the_answer_is_frames_or_an_error_with_its_n
     assert name in message
 
 
-def test_assumptions_say_everything_that_the_files_do_not(tmp_path: Path) -> None:
+def test_assumptions_state_everything_that_the_files_do_not(tmp_path: Path) -> None:
     write_frames(tmp_path, np.eye(4)[None])
     assert set(read(tmp_path).assumptions) == {"pose", "camera axes", "depth", "intrinsics", "time", "agreement"}
 
 
-def test_a_recording_read_in_the_right_convention_agrees_with_itself_and_in_a_wrong_one_does_not(
+def test_a_recording_is_consistent_in_its_own_convention_only(
     tmp_path: Path,
 ) -> None:
     shelf = Path(__file__).parents[2] / "datasets" / "labelfusion_shelf"
@@ -251,9 +251,9 @@ def test_a_recording_read_in_the_right_convention_agrees_with_itself_and_in_a_wr
         "intrinsics": str(shelf / "camera-intrinsics.color.txt"),
         "depth_scale": 1e-4,
     }
-    right = read(tmp_path, **options)
-    assert median_depth_disagreement(right, 0, 1) < 0.006
-    assert right.assumptions["agreement"].startswith("9")
+    recording = read(tmp_path, **options)
+    assert median_depth_disagreement(recording, 0, 1) < 0.006
+    assert recording.assumptions["agreement"].startswith("9")
     for wrong in ({"pose_is": "camera_from_world"}, {"axes": "opengl"}):
         recording = read(tmp_path, **options, **wrong)
         assert not median_depth_disagreement(recording, 0, 1) < 0.03

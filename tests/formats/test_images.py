@@ -43,7 +43,7 @@ def test_gray_colour_is_repeated_and_transparency_is_dropped(tmp_path: Path) -> 
     assert np.array_equal(images.read_color(tmp_path / "a.png"), COLOR)
 
 
-def test_an_exif_rotation_does_not_turn_the_image_away_from_its_intrinsics(tmp_path: Path) -> None:
+def test_exif_rotation_is_ignored_as_intrinsics_do_not_follow_it(tmp_path: Path) -> None:
     data = encoded(".jpg", SMOOTH)
     orientation = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0"
     (tmp_path / "c.jpg").write_bytes(
@@ -66,7 +66,7 @@ def test_labels_are_read_bit_for_bit(tmp_path: Path) -> None:
 
 def test_colour_of_16_bits_is_refused(tmp_path: Path) -> None:
     write_image(tmp_path / "c.png", COLOR.astype(np.uint16) * 257)
-    with pytest.raises(BadData, match="colour: expected 8 bits a channel, got 16.  fix: convert"):
+    with pytest.raises(BadData, match="colour: expected 8 bits per channel, got 16.  fix: convert"):
         images.read_color(tmp_path / "c.png")
 
 
@@ -75,7 +75,9 @@ def test_colour_of_16_bits_is_refused(tmp_path: Path) -> None:
 )
 def test_depth_of_8_bits_or_in_colour_is_refused(tmp_path: Path, image: np.ndarray, got: str) -> None:
     write_image(tmp_path / "d.png", image)
-    with pytest.raises(BadData, match=f"d.png: depth: expected one channel of 16 bits, got {got}.  fix: export raw"):
+    with pytest.raises(
+        BadData, match=f"d.png: depth: expected one channel of 16 bits, got {got}.  fix: check --depth, or export raw"
+    ):
         images.read_depth(tmp_path / "d.png")
 
 
@@ -86,7 +88,7 @@ def test_labels_in_colour_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"GIF89a......", b"\x80\x04\x95pickle", b"#!/bin/sh\n"])
-def test_a_file_that_is_no_image_is_refused(tmp_path: Path, data: bytes) -> None:
+def test_a_file_that_is_not_an_image_is_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "c.png").write_bytes(data)
     with pytest.raises(BadData, match="image: expected a PNG, JPEG, PGM or PPM file"):
         images.read_color(tmp_path / "c.png")
@@ -94,7 +96,7 @@ def test_a_file_that_is_no_image_is_refused(tmp_path: Path, data: bytes) -> None
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".pgm"])
 @given(st.data())
-def test_an_image_cut_short_anywhere_is_refused(tmp_path_factory, suffix: str, data: st.DataObject) -> None:
+def test_an_image_truncated_anywhere_is_refused(tmp_path_factory, suffix: str, data: st.DataObject) -> None:
     whole = encoded(suffix, DEPTH if suffix == ".pgm" else COLOR)
     path = tmp_path_factory.mktemp("cut") / f"c{suffix}"
     path.write_bytes(whole[: data.draw(st.integers(2, len(whole) - 1))])
@@ -103,16 +105,16 @@ def test_an_image_cut_short_anywhere_is_refused(tmp_path_factory, suffix: str, d
 
 
 @given(st.integers(16, 400), st.integers(1, 255))
-def test_a_changed_byte_in_a_png_is_noticed(tmp_path_factory, position: int, change: int) -> None:
+def test_a_changed_byte_in_a_png_is_detected(tmp_path_factory, position: int, change: int) -> None:
     data = bytearray(encoded(".png", DEPTH))
     data[position] ^= change
     path = tmp_path_factory.mktemp("flip") / "d.png"
     path.write_bytes(data)
-    with pytest.raises(BadData, match="cut short or damaged"):
+    with pytest.raises(BadData, match="truncated or corrupted"):
         images.read_depth(path)
 
 
-def test_bytes_after_the_end_of_an_image_do_no_harm(tmp_path: Path) -> None:
+def test_bytes_after_the_end_of_an_image_are_ignored(tmp_path: Path) -> None:
     (tmp_path / "d.png").write_bytes(encoded(".png", DEPTH) + b"more")
     assert np.array_equal(images.read_depth(tmp_path / "d.png"), DEPTH)
 
@@ -128,7 +130,7 @@ def test_an_image_of_a_billion_pixels_is_refused_by_its_header(tmp_path: Path) -
         images.read_depth(tmp_path / "d.png")
 
 
-def test_a_png_with_good_checksums_and_no_picture_is_refused(tmp_path: Path) -> None:
+def test_a_png_with_valid_checksums_and_no_picture_is_refused(tmp_path: Path) -> None:
     def chunk(kind: bytes, body: bytes) -> bytes:
         return len(body).to_bytes(4, "big") + kind + body + zlib.crc32(kind + body).to_bytes(4, "big")
 
@@ -146,7 +148,7 @@ def test_a_jpeg_thumbnail_does_not_hide_a_missing_end(tmp_path: Path) -> None:
         images.read_color(tmp_path / "c.jpg")
 
 
-def test_a_pgm_header_that_lies_is_refused(tmp_path: Path) -> None:
+def test_an_invalid_pgm_header_is_refused(tmp_path: Path) -> None:
     (tmp_path / "d.pgm").write_bytes(b"P5\n16 twelve\n65535\n")
     with pytest.raises(BadData, match="expected a PGM or PPM header"):
         images.read_depth(tmp_path / "d.pgm")

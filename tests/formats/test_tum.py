@@ -79,23 +79,23 @@ times = st.lists(st.integers(0, 1000), min_size=1, max_size=30, unique=True).map
 
 
 @given(times, times, st.integers(0, 50))
-def test_the_nearest_time_is_the_one_that_a_full_search_finds(time: np.ndarray, other: np.ndarray, limit: int) -> None:
+def test_the_nearest_time_agrees_with_a_full_search(time: np.ndarray, other: np.ndarray, limit: int) -> None:
     gap = np.abs(time[:, None] - other[None])
-    found = tum.nearest(time, other, float(limit))
-    assert np.array_equal(found >= 0, gap.min(axis=1) <= limit)
-    kept = found >= 0
-    assert np.array_equal(gap[np.arange(len(time)), found][kept], gap.min(axis=1)[kept])
+    index = tum.nearest(time, other, float(limit))
+    assert np.array_equal(index >= 0, gap.min(axis=1) <= limit)
+    kept = index >= 0
+    assert np.array_equal(gap[np.arange(len(time)), index][kept], gap.min(axis=1)[kept])
 
 
 @given(times, times, st.integers(0, 50))
 def test_no_depth_image_is_used_twice(time: np.ndarray, other: np.ndarray, limit: int) -> None:
-    found = tum.mutual_nearest(time, other, float(limit))
-    used = found[found >= 0]
+    index = tum.mutual_nearest(time, other, float(limit))
+    used = index[index >= 0]
     assert len(set(used.tolist())) == len(used)
-    assert (np.abs(other[used] - time[found >= 0]) <= limit).all()
+    assert (np.abs(other[used] - time[index >= 0]) <= limit).all()
 
 
-def test_the_benchmarks_calibration_is_known_by_the_rigs_name(tmp_path: Path) -> None:
+def test_the_benchmarks_intrinsics_are_known_by_the_rigs_name(tmp_path: Path) -> None:
     write_sequence(tmp_path)
     with pytest.raises(
         BadData, match=r"expected a principal point near the middle of images of 16x12, got \(318.6, 255.3\)"
@@ -105,14 +105,17 @@ def test_the_benchmarks_calibration_is_known_by_the_rigs_name(tmp_path: Path) ->
         read(tmp_path, intrinsics="")
 
 
-def test_lists_that_are_not_as_the_benchmark_has_them_are_refused(tmp_path: Path) -> None:
+def test_lists_in_another_layout_than_the_benchmarks_are_refused(tmp_path: Path) -> None:
     write_sequence(tmp_path)
     good = (tmp_path / "rgb.txt").read_text()
     (tmp_path / "rgb.txt").write_text("10.0")
     with pytest.raises(BadData, match="rgb.txt: lines: expected `timestamp file` in each"):
         read(tmp_path)
     (tmp_path / "rgb.txt").write_text("\n".join(reversed(good.splitlines())))
-    with pytest.raises(BadData, match="rgb.txt: timestamps: expected finite times that grow from line to line"):
+    with pytest.raises(
+        BadData,
+        match="rgb.txt: timestamps: expected finite times that increase from line to line, got 10.2 s in data line 2",
+    ):
         read(tmp_path)
     (tmp_path / "rgb.txt").write_text(good.replace("rgb/10.0", "../rgb/10.0"))
     with pytest.raises(BadData, match="expected a path inside the source folder"):
@@ -123,7 +126,7 @@ def test_lists_that_are_not_as_the_benchmark_has_them_are_refused(tmp_path: Path
         read(tmp_path)
 
 
-def test_a_broken_pose_is_named_by_its_time(tmp_path: Path) -> None:
+def test_an_invalid_pose_is_named_by_its_time(tmp_path: Path) -> None:
     write_sequence(tmp_path)
     text = (tmp_path / "groundtruth.txt").read_text().splitlines()
     text[1] = "9.997 0 0 0 0 0 0 2"

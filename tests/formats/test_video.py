@@ -14,7 +14,7 @@ from bask_data.formats.video import VideoWriter
 
 
 def picture(i: int, size: tuple[int, int] = (48, 64)) -> np.ndarray:
-    """A smooth picture that moves to the left, of a hue of its own."""
+    """A smooth picture that moves to the left and changes its hue with i."""
     v, u = np.mgrid[: size[0], : size[1]]
     channels = (2 * (u + i) % 256, 3 * v % 256, np.full_like(u, 40 * (i % 6)))
     return np.stack(channels, axis=-1).astype(np.uint8)
@@ -37,18 +37,18 @@ def read(path: Path) -> Iterator[Any]:
         yield from container.decode(video=0)
 
 
-def test_frames_come_back_in_order_at_their_times_and_in_their_colours(tmp_path: Path) -> None:
+def test_frames_are_read_back_in_order_with_their_times_and_colours(tmp_path: Path) -> None:
     write(tmp_path / "a.mp4")
     frames = list(read(tmp_path / "a.mp4"))
     assert [frame.time for frame in frames] == pytest.approx(np.arange(12) / 12.5)
     for i, frame in enumerate(frames):
         difference = frame.to_ndarray(format="rgb24").astype(int) - picture(i)
         assert np.abs(difference).mean() < 4
-        # A colour read by another standard than it was written by is off by ten and more.
+        # Colours decoded by another standard differ by ten or more.
         assert np.abs(difference.mean(axis=(0, 1))).max() < 3
 
 
-def test_it_is_what_browsers_play_and_begins_with_its_index(tmp_path: Path) -> None:
+def test_the_file_is_h264_in_mp4_and_begins_with_its_index(tmp_path: Path) -> None:
     data = write(tmp_path / "a.mp4")
     assert data.index(b"moov") < data.index(b"mdat")
     with av.open(str(tmp_path / "a.mp4")) as container:
@@ -70,12 +70,12 @@ def test_odd_sizes_are_made_even_by_repeating_the_edge(tmp_path: Path) -> None:
     assert np.abs(image[47] - image[46]).mean() < 3 and np.abs(image[:, 63] - image[:, 62]).mean() < 3
 
 
-def test_keyframes_come_as_often_as_asked(tmp_path: Path) -> None:
+def test_keyframes_have_the_requested_distance(tmp_path: Path) -> None:
     write(tmp_path / "a.mp4", 7, keyframe_every=2)
     assert [frame.key_frame for frame in read(tmp_path / "a.mp4")] == [True, False] * 3 + [True]
 
 
-def test_less_quality_is_a_smaller_file(tmp_path: Path) -> None:
+def test_lower_quality_gives_a_smaller_file(tmp_path: Path) -> None:
     size = (192, 256)
     assert (
         len(write(tmp_path / "a.mp4", size=size, quality=40))
@@ -83,7 +83,7 @@ def test_less_quality_is_a_smaller_file(tmp_path: Path) -> None:
     )
 
 
-def test_what_breaks_off_leaves_what_was_there(tmp_path: Path) -> None:
+def test_an_interrupted_video_leaves_the_previous_file(tmp_path: Path) -> None:
     whole = write(tmp_path / "a.mp4")
 
     def interrupted() -> Iterator[np.ndarray]:
@@ -111,21 +111,21 @@ def test_a_video_without_frames_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("fps", "size"), [(0.0, (48, 64)), (float("nan"), (48, 64)), (10.0, (0, 64))])
-def test_a_video_of_nothing_is_refused(tmp_path: Path, fps: float, size: tuple[int, int]) -> None:
+def test_a_video_without_rate_or_size_is_refused(tmp_path: Path, fps: float, size: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match="a video of .* frames per second, .* pixels"):
         VideoWriter(tmp_path / "a.mp4", fps, size)
 
 
-def test_without_pyav_the_line_that_brings_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pyav_the_command_that_installs_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(MissingDependency, match=r"expected PyAV, got none.  fix: pip install 'bask-data\[export\]'"):
         VideoWriter(tmp_path / "a.mp4", 10, (48, 64))
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is always full is there on Linux only")
-def test_a_full_disk_is_told(tmp_path: Path) -> None:
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a device that is always full")
+def test_a_full_disk_is_reported(tmp_path: Path) -> None:
     video = VideoWriter(tmp_path / "a.mp4", 10, (48, 64))
     video._unfinished.symlink_to("/dev/full")
-    with pytest.raises(BaskError, match="a file that takes all, got .*No space left on device"):
+    with pytest.raises(BaskError, match="expected a writable file, got .*No space left on device"):
         append_all(video, map(picture, range(12)))
     assert list(tmp_path.iterdir()) == []
