@@ -1,1 +1,1 @@
-"""Sources: what brings recordings into a dataset, published by the same engine as what stages make of them."""
+"""Sources of recordings: ingested files and the simulator, published by the engine as stages' artifacts are."""

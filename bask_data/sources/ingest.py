@@ -1,4 +1,4 @@
-"""Ingest: somebody else's recording becomes a scan or a demonstration, and its labels, where it has any, truth."""
+"""Ingest: a recording in another format becomes a scan or a demonstration, and its labels, if any, ground truth."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from bask_data.formats import recording
 
 INGEST_VERSION = 1
-"""Raise it when the same source gives another result."""
+"""To be raised when the same source gives another result."""
 
 
 def ingest(
@@ -35,16 +35,17 @@ def ingest(
     kind: Literal["scan", "demonstration"] = "scan",
     force: bool = False,
 ) -> tuple[list[Outcome], dict[str, str]]:
-    """Read a recording into the dataset at `root`, which is made if there is none.
+    """Read a recording into the dataset at `root`, which is created if it does not exist.
 
-    Everything is checked and written aside first: a refusal leaves the dataset as it was.
+    Everything is checked and written to scratch first: an error leaves the dataset unchanged.
 
     Returns:
-        What was made, and in words what was assumed about the source.
+        Outcomes, and the assumptions about the source in words.
 
     Raises:
         WouldOverwrite: the item exists with other content and `force` is not set.
-        BadData: the source does not hold what the options say.
+        UsageError: the name belongs to a recording of the other kind, or an option is invalid.
+        BadData: the source is damaged, or contradicts the options.
     """
     makes = Scan if kind == "scan" else Demonstration
     check_name(item, root / DATASET)
@@ -54,7 +55,7 @@ def ingest(
     key = _key(makes, format, options, source, read)
     fix = "choose another --scene, or pass --force."
     if not force and is_current(root, makes, item, key, fix, read.has_labels):
-        # A kill between publishing and listing leaves a recording that no command would look at.
+        # A kill between publishing and listing leaves a recording that is not in `dataset.json`.
         dataset = dataset or Dataset.open_or_create(root)
         if item not in dataset.items(makes.scope):
             _enter(dataset, item, format, source, options, makes, read)
@@ -100,13 +101,13 @@ def _enter(
     makes: type[Recording],
     read: recording.SourceRecording,
 ) -> None:
-    """List a published recording."""
+    """Enter a published recording in `dataset.json`."""
     if not read.has_labels:
-        # Labels of a recording that this one replaced would be taken for its truth.
+        # Otherwise the labels of a replaced recording would count as ground truth of this one.
         shutil.rmtree(dataset.path(Truth, item), ignore_errors=True)
     path = os.path.relpath(source.resolve(), dataset.root.resolve())
-    given = options.model_dump(mode="json", exclude_defaults=True)
-    dataset.add(makes.scope, item, Source(format=format.name, path=path, options=given, truth=read.has_labels))
+    changed = options.model_dump(mode="json", exclude_defaults=True)
+    dataset.add(makes.scope, item, Source(format=format.name, path=path, options=changed, truth=read.has_labels))
 
 
 def _source_digest(source: Path, read: recording.SourceRecording) -> str:
@@ -153,7 +154,7 @@ def _write_recording(
 
 
 def _checked(camera: recording.CameraRecording) -> Callable[[int], tuple[Any, Any]]:
-    """The camera's reader, counting valid depth: a recording without any is refused at its last frame."""
+    """The camera's reader, which raises `BadData` at the last frame if no frame has valid depth."""
     n_valid = 0
 
     def read(i_frame: int) -> tuple[Any, Any]:
@@ -165,7 +166,7 @@ def _checked(camera: recording.CameraRecording) -> Callable[[int], tuple[Any, An
                 camera.name,
                 "depth",
                 expected="a measurement in some frame",
-                got="none in any",
+                got=f"none in {camera.n_frames} frames",
                 fix="check --depth and --invalid-depth.",
             )
         return rgb, depth

@@ -1,4 +1,4 @@
-"""How a recording comes into a dataset, whoever made it: looked at first, written aside, truth before recording."""
+"""Publishing of recordings, for all sources: checks first, scratch next, ground truth before the recording."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from bask_data.kinds import Recording, Scan, Truth
 
 
 def refuse_other_scope(dataset: Dataset | None, makes: type[Recording], item: str, fix: str = "") -> None:
-    """A name stands for a scan or a demonstration, never for both; `UsageError`."""
+    """Raise `UsageError` if a scan's name belongs to a demonstration, or the other way round."""
     other = "demonstration" if makes is Scan else "scene"
     if dataset is not None and item in dataset.items(other):
         raise UsageError(dataset.root / DATASET, item, expected="a new name", got=f"the name of a {other}", fix=fix)
 
 
 def is_current(root: Path, makes: type[Recording], item: str, key: str, fix: str, has_truth: bool) -> bool:
-    """Whether the recording is there already, just as asked for, and its truth where it has one.
+    """Whether the recording is up to date, and has its ground truth if it should.
 
     Raises:
-        WouldOverwrite: it is there with other content.
+        WouldOverwrite: the recording exists with other content.
     """
     target = root / makes.kind / item
     if not target.exists():
@@ -43,7 +43,7 @@ def is_current(root: Path, makes: type[Recording], item: str, key: str, fix: str
 
 
 def up_to_date(root: Path, makes: type[Recording], item: str) -> Outcome:
-    """The outcome for a recording that is there already."""
+    """Outcome of a recording that is up to date."""
     target = root / makes.kind / item
     digest = read_manifest(target).digest
     return Outcome(f"ingest {makes.kind} {item}", makes.kind, item, "main", str(target), "up to date", digest=digest)
@@ -51,12 +51,12 @@ def up_to_date(root: Path, makes: type[Recording], item: str) -> Outcome:
 
 @contextmanager
 def undone_if_new(root: Path) -> Iterator[None]:
-    """Leave no new dataset behind when what should have filled it fails."""
+    """Remove a dataset that the block created if the block fails."""
     is_new = not root.exists()
     try:
         yield
     except BaseException:
-        # Another process may have ingested into the same new directory meanwhile.
+        # Another process may have ingested into the same new dataset meanwhile.
         if is_new and not ((root / DATASET).exists() and Dataset(root).items("recording")):
             shutil.rmtree(root, ignore_errors=True)
         raise
@@ -65,9 +65,13 @@ def undone_if_new(root: Path) -> Iterator[None]:
 def published_recording(
     dataset: Dataset, item: str, written: dict[type[Artifact], Path], origin: Origin, begun: float
 ) -> list[Outcome]:
-    """Publish artifacts in their order; the outcomes name the last one first.
+    """Publish artifacts in their order, and return their outcomes in reverse.
 
-    Truth goes first, so that no kill leaves a recording that has lost its own.
+    Ground truth is published first, so that a kill never leaves a recording without its own.
+
+    Args:
+        written: scratch folder by artifact type.
+        begun: `time.perf_counter()` at the start of the work.
     """
     outcomes = []
     for artifact, scratch in written.items():

@@ -1,4 +1,4 @@
-"""Simulate: recordings of a made-up tabletop, with a truth beside each that knows everything exactly."""
+"""Simulate: recordings of a simulated tabletop, each with exact ground truth."""
 
 from __future__ import annotations
 
@@ -28,21 +28,20 @@ if TYPE_CHECKING:
     from bask_data.sim.world import World
 
 SIMULATE_VERSION = 2
-"""Raise it when the same options give another result."""
+"""To be raised when the same options give another result."""
 FORMAT = "sim"
 MAX_ATTEMPTS = 20
-"""Failed demonstrations in a row after which the simulator is at fault, not chance."""
+"""Failed attempts at a demonstration after which it is given up: so many in a row are a fault, not chance."""
 _SCAN, _DEMONSTRATION = 0, 1
 _ONLY_SCANS = {"frames", "gripper_in_view", "distance_spread", "finished"}
-"""Options that a demonstration does not depend on."""
+"""Options that affect scans only."""
 _NOTHING_WHEN_UNSET = {"background_seed", "distance_spread", "finished"}
-"""Options that are left out of a key where they are not set, so that recordings made before there were any are still
-what they would be."""
+"""Options left out of keys at their defaults, so that recordings made before they existed stay up to date."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A recording to make: the `index`-th scan or demonstration of a task and seed."""
+    """A recording to make: the scan or demonstration with number `index` of a task and seed."""
 
     makes: type[Scan] | type[Demonstration]
     index: int
@@ -50,20 +49,20 @@ class Job:
 
     @property
     def item(self) -> str:
-        """Its name in the dataset."""
+        """The recording's name in the dataset."""
         return f"{self.options.task}_{'scan' if self.makes is Scan else 'demo'}{self.index}"
 
     @property
     def params(self) -> dict[str, Any]:
-        """What its content follows from."""
+        """Options that determine the content."""
         unused = _ONLY_SCANS if self.makes is Demonstration else set()
         fields = SimOptions.model_fields
-        unused = unused | {one for one in _NOTHING_WHEN_UNSET if getattr(self.options, one) == fields[one].default}
+        unused = unused | {name for name in _NOTHING_WHEN_UNSET if getattr(self.options, name) == fields[name].default}
         return {"index": self.index, **self.options.model_dump(mode="json", exclude=unused)}
 
     @cached_property
     def key(self) -> str:
-        """The same key, the same content."""
+        """Skip key: equal keys mean equal content."""
         return digest_of(
             {
                 "kind": self.makes.kind,
@@ -76,12 +75,12 @@ class Job:
 
     @property
     def shows_finished(self) -> bool:
-        """Whether it is one of the scans of a finished task, which are spread evenly."""
+        """Whether the recording is a scan of the finished task; these are spread evenly over the scans."""
         share = self.options.finished
         return self.makes is Scan and int((self.index + 1) * share) > int(self.index * share)
 
     def seed(self, attempt: int = 0) -> list[int]:
-        """The seed of its scene and motions. Attempts at a demonstration differ in it."""
+        """Seed of the scene and motions; each attempt at a demonstration has another."""
         stream = _SCAN if self.makes is Scan else _DEMONSTRATION
         return [self.options.seed, TASKS.index(self.options.task), 10 + stream, self.index, attempt]
 
@@ -95,25 +94,25 @@ def simulate(
     only: Sequence[str] = (),
     force: bool = False,
 ) -> tuple[list[Outcome], int]:
-    """Make recordings of a task in the dataset at `root`, which is made if there is none.
+    """Simulate recordings of a task in the dataset at `root`, which is created if it does not exist.
 
-    All names are looked at before anything is written.
+    All names are checked before anything is written.
 
     Args:
-        only: names of the recordings to make, whatever the counts say.
+        only: names of the recordings to make, instead of the counts.
 
     Returns:
-        What was made, and how many demonstrations failed and were drawn anew.
+        Outcomes, and the number of failed attempts at demonstrations, which were repeated with other seeds.
 
     Raises:
         WouldOverwrite: a recording of that name exists with other content and `force` is not set.
-        UsageError: nothing is asked for, a name that means nothing, or objects that find no room.
+        UsageError: no recording is requested, a name is invalid, or the objects do not fit the table.
     """
     jobs = _jobs(options, n_scans, n_demonstrations, only)
     fix = "choose another dataset, or pass --force."
-    there = Dataset.open_if_any(root)
+    existing = Dataset.open_if_any(root)
     for job in jobs:
-        refuse_other_scope(there, job.makes, job.item)
+        refuse_other_scope(existing, job.makes, job.item)
     current = {job.item for job in jobs if not force and is_current(root, job.makes, job.item, job.key, fix, True)}
     outcomes, n_failed = [], 0
     with undone_if_new(root), _Studio(options) as studio:
@@ -125,7 +124,7 @@ def simulate(
                 outcomes += made
                 n_failed += n_retries
                 continue
-            # A kill between publishing and listing leaves a recording that no command would look at.
+            # A kill between publishing and listing leaves a recording that is not in `dataset.json`.
             if job.item not in dataset.items(job.makes.scope):
                 _enter(dataset, job)
             outcomes.append(up_to_date(root, job.makes, job.item))
@@ -141,22 +140,22 @@ def _jobs(options: SimOptions, n_scans: int, n_demonstrations: int, only: Sequen
         return jobs
     jobs = []
     for name in dict.fromkeys(only):
-        found = re.fullmatch(rf"{options.task}_(scan|demo)(\d{{1,6}})", name)
-        if not found:
+        match = re.fullmatch(rf"{options.task}_(scan|demo)(\d{{1,6}})", name)
+        if not match:
             raise UsageError(
                 "ingest sim", "--only", expected=f"names like {options.task}_scan0, {options.task}_demo12", got=name
             )
-        jobs.append(Job(Scan if found[1] == "scan" else Demonstration, int(found[2]), options))
+        jobs.append(Job(Scan if match[1] == "scan" else Demonstration, int(match[2]), options))
     return jobs
 
 
 def _enter(dataset: Dataset, job: Job) -> None:
-    given = job.options.model_dump(mode="json", exclude_defaults=True)
-    dataset.add(job.makes.scope, job.item, Source(format=FORMAT, path="", options=given, truth=True))
+    changed = job.options.model_dump(mode="json", exclude_defaults=True)
+    dataset.add(job.makes.scope, job.item, Source(format=FORMAT, path="", options=changed, truth=True))
 
 
 class _Studio:
-    """The world and its renderer, made when the first recording is."""
+    """The world and its renderer, created for the first recording."""
 
     def __init__(self, options: SimOptions) -> None:
         self._options = options
@@ -182,7 +181,7 @@ class _Studio:
 
 
 def _record(dataset: Dataset, job: Job, studio: _Studio) -> tuple[list[Outcome], int]:
-    """Simulate one recording, draw it, publish and list it."""
+    """Simulate, render, publish and list one recording."""
     begun = time.perf_counter()
     take, n_failed = _take(job, studio)
     origin = Origin(f"ingest {FORMAT}", SIMULATE_VERSION, job.params, {}, job.key)
@@ -194,7 +193,7 @@ def _record(dataset: Dataset, job: Job, studio: _Studio) -> tuple[list[Outcome],
 
 
 def _take(job: Job, studio: _Studio) -> tuple[Take, int]:
-    """What happens in a recording, and how many attempts at it failed before."""
+    """Motions of a recording, and the number of failed attempts before it."""
     import numpy as np
 
     from bask_data.sim.experts import demonstrate
@@ -220,7 +219,7 @@ def _take(job: Job, studio: _Studio) -> tuple[Take, int]:
 
 
 def _write(out: Path, out_truth: Path, job: Job, take: Take, studio: _Studio) -> None:
-    """Draw every camera's frames once, into the recording with defects and into the truth without."""
+    """Render every camera's frames once: with defects for the recording, without for ground truth."""
     world, options = studio.world, job.options
     assumptions = {"source": f"simulated: {options.task}, seed {options.seed}", "defects": _defects(options)}
     arguments: dict[str, Any] = {} if take.robot is None else {"action_names": take.robot.action_names}
@@ -270,12 +269,12 @@ def _write_camera(
         CameraFrames(
             K=K, world_from_cameras=world_from_cameras, time=take.time, depth_scale=DEPTH_SCALE, size=size, read=read
         ),
-        frames=lambda frames: progress(frames, f"{job.item}: drawing {name}"),
+        frames=lambda frames: progress(frames, f"{job.item}: rendering {name}"),
     )
 
 
 def _poses(world: World, renderer: Renderer, camera: str, take: Take) -> np.ndarray:
-    """Where a camera is at each frame, exactly."""
+    """Exact world_from_camera (t, 4, 4) at each frame."""
     import numpy as np
 
     poses = []

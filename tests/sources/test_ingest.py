@@ -46,7 +46,7 @@ def everything_below(root: Path) -> dict[str, bytes]:
     return {str(file): file.read_bytes() for file in sorted(root.rglob("*")) if file.is_file()}
 
 
-def test_frames_arrive_as_they_were(source: Path, tmp_path: Path) -> None:
+def test_frames_are_ingested_unchanged(source: Path, tmp_path: Path) -> None:
     assert frames(source, tmp_path / "d") == ["made"]
     dataset = Dataset(tmp_path / "d")
     camera = Scan(dataset.path(Scan, "table")).camera("wrist")
@@ -96,7 +96,7 @@ def test_recording_that_a_kill_left_unlisted_is_listed_by_the_same_command(sourc
     assert (tmp_path / "d" / "dataset.json").read_text() == listed
 
 
-def test_truth_goes_with_the_recording_it_was_of(source: Path, tmp_path: Path) -> None:
+def test_ground_truth_is_removed_with_the_recording_it_belongs_to(source: Path, tmp_path: Path) -> None:
     format = FORMAT["apc"]
     ingest(tmp_path / "d", "table", format=format, source=DATASETS / "apc_shelf", options=format.options())
     assert (tmp_path / "d" / "truth" / "table").exists()
@@ -104,7 +104,7 @@ def test_truth_goes_with_the_recording_it_was_of(source: Path, tmp_path: Path) -
     assert not (tmp_path / "d" / "truth" / "table").exists()
 
 
-def test_failed_ingest_keeps_what_another_process_put_into_the_new_dataset(
+def test_failed_ingest_keeps_recordings_that_another_process_added_to_the_new_dataset(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def meanwhile(*_: object) -> None:
@@ -154,7 +154,7 @@ def test_refused_source_writes_nothing(source: Path, tmp_path: Path, defect) -> 
     assert everything_below(tmp_path / "old") == before
 
 
-def test_labels_become_truth_of_their_own_kind(tmp_path: Path) -> None:
+def test_labels_become_an_artifact_of_ground_truth(tmp_path: Path) -> None:
     format = FORMAT["apc"]
     outcomes, assumptions = ingest(
         tmp_path / "d", "shelf", format=format, source=DATASETS / "apc_shelf", options=format.options()

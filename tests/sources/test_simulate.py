@@ -51,7 +51,7 @@ def digests(root: Path) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two scans and a demonstration; tests may only read it."""
+    """Two scans and a demonstration; tests must not change it."""
     root = tmp_path_factory.mktemp("sim") / "d"
     names = made(root, 2, 1)
     assert names == [
@@ -62,15 +62,15 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def test_dataset_is_whole_and_lists_its_recordings(dataset: Path) -> None:
-    found = Dataset(dataset)
-    assert found.items("scene") == ["phone_scan0", "phone_scan1"]
-    assert found.items("demonstration") == ["phone_demo0"]
-    assert validate(found) == []
-    assert (found.file.scenes["phone_scan0"].format, found.file.scenes["phone_scan0"].path) == ("sim", "")
+def test_dataset_is_valid_and_lists_its_recordings(dataset: Path) -> None:
+    opened = Dataset(dataset)
+    assert opened.items("scene") == ["phone_scan0", "phone_scan1"]
+    assert opened.items("demonstration") == ["phone_demo0"]
+    assert validate(opened) == []
+    assert (opened.file.scenes["phone_scan0"].format, opened.file.scenes["phone_scan0"].path) == ("sim", "")
 
 
-def test_scan_carries_noise_and_truth_does_not(dataset: Path) -> None:
+def test_scans_have_noise_and_ground_truth_has_none(dataset: Path) -> None:
     scan, truth = Scan(dataset / "scan" / "phone_scan0"), Truth(dataset / "truth" / "phone_scan0")
     assert truth.camera_names == scan.camera_names == ["overhead", "wrist"]
     assert truth.has_depth
@@ -87,7 +87,7 @@ def test_scan_carries_noise_and_truth_does_not(dataset: Path) -> None:
         np.testing.assert_array_equal(truth.world_from_cameras(camera.name), camera.world_from_cameras)
 
 
-def test_truth_names_labels_and_knows_poses_and_what_touches(dataset: Path, tmp_path: Path) -> None:
+def test_ground_truth_has_names_of_labels_poses_and_touching_objects(dataset: Path, tmp_path: Path) -> None:
     scan = Truth(dataset / "truth" / "phone_scan0")
     assert scan.label_names == {1: "base", 2: "phone", 255: "gripper"}
     assert scan.metadata.object_labels == [1, 2]
@@ -104,7 +104,7 @@ def test_truth_names_labels_and_knows_poses_and_what_touches(dataset: Path, tmp_
     assert Truth(tmp_path / "d" / "truth" / "lid_scan0").touching == [(1, 2)]
 
 
-def test_demonstration_has_the_robot_s_side(dataset: Path) -> None:
+def test_demonstration_has_the_robots_states_and_actions(dataset: Path) -> None:
     demo = Demonstration(dataset / "demonstration" / "phone_demo0")
     n_frames = demo.camera("wrist").n_frames
     assert demo.robot is not None
@@ -118,16 +118,16 @@ def test_demonstration_has_the_robot_s_side(dataset: Path) -> None:
 
 
 def test_scenes_differ_and_the_objects_are_the_same(dataset: Path) -> None:
-    one, other = (Truth(dataset / "truth" / f"phone_scan{i}").world_from_objects for i in (0, 1))
-    assert one is not None and other is not None
-    assert np.abs(one[0] - other[0]).max() > 0.02
+    first, second = (Truth(dataset / "truth" / f"phone_scan{i}").world_from_objects for i in (0, 1))
+    assert first is not None and second is not None
+    assert np.abs(first[0] - second[0]).max() > 0.02
 
 
 def test_same_options_give_the_same_bytes_in_another_process_and_order(dataset: Path, tmp_path: Path) -> None:
     subprocess.run(simulating(tmp_path / "d", "--only", "phone_demo0,phone_scan1"), check=True, capture_output=True)
-    found = digests(tmp_path / "d")
-    assert len(found) == 4
-    assert found.items() <= digests(dataset).items()
+    simulated = digests(tmp_path / "d")
+    assert len(simulated) == 4
+    assert simulated.items() <= digests(dataset).items()
 
 
 def test_again_is_up_to_date_other_options_are_refused_and_force_replaces(tmp_path: Path) -> None:
@@ -143,25 +143,25 @@ def test_again_is_up_to_date_other_options_are_refused_and_force_replaces(tmp_pa
     assert validate(Dataset(root)) == []
 
 
-def test_options_that_came_later_leave_keys_alone_until_they_are_set() -> None:
+def test_options_added_later_leave_keys_unchanged_until_they_are_set() -> None:
     plain = Job(Scan, 0, SimOptions(task="lid"))
     assert set(plain.params) == {
         *("index", "task", "seed", "cameras", "frames", "height", "width", "overhead_height", "overhead_width"),
         *("clutter", "depth_noise", "flying", "holes", "pose_noise", "gripper_in_view"),
     }
     changed = [
-        Job(Scan, 0, SimOptions(task="lid", **one))
-        for one in ({"background_seed": 0}, {"distance_spread": 0.3}, {"finished": 1.0})
+        Job(Scan, 0, SimOptions(task="lid", **option))
+        for option in ({"background_seed": 0}, {"distance_spread": 0.3}, {"finished": 1.0})
     ]
     assert len({plain.key, *(job.key for job in changed)}) == 4
     demonstrations = [
-        Job(Demonstration, 0, SimOptions(task="lid", **one)).key
-        for one in ({}, {"distance_spread": 0.3}, {"finished": 1.0})
+        Job(Demonstration, 0, SimOptions(task="lid", **option)).key
+        for option in ({}, {"distance_spread": 0.3}, {"finished": 1.0})
     ]
     assert len({*demonstrations}) == 1
 
 
-def test_scans_of_the_finished_task_are_spread_evenly_and_show_what_it_leaves(tmp_path: Path) -> None:
+def test_scans_of_the_finished_task_are_spread_evenly_and_show_its_result(tmp_path: Path) -> None:
     made(tmp_path / "d", 4, task="lid", finished=0.5)
     heights = []
     for i in range(4):
@@ -172,13 +172,13 @@ def test_scans_of_the_finished_task_are_spread_evenly_and_show_what_it_leaves(tm
         assert bool(truth.metadata.touching) == (i % 2 == 0)
     assert np.array(heights) == pytest.approx([heights[0], 0, heights[0], 0], abs=0.004)
     assert heights[0] > 0.05
-    # What a finished scan is does not depend on the others.
+    # A scan of the finished task does not depend on the other scans.
     made(tmp_path / "alone", only=("lid_scan3",), task="lid", finished=0.5)
-    mine = digests(tmp_path / "alone")
-    assert mine == {name: digest for name, digest in digests(tmp_path / "d").items() if name in mine}
+    alone = digests(tmp_path / "alone")
+    assert alone == {name: digest for name, digest in digests(tmp_path / "d").items() if name in alone}
 
 
-def test_truth_that_was_lost_comes_again_and_the_recording_stays_the_same(tmp_path: Path) -> None:
+def test_lost_ground_truth_is_made_again_and_the_recording_stays_the_same(tmp_path: Path) -> None:
     root = tmp_path / "d"
     made(root)
     before = digests(root)
@@ -192,13 +192,13 @@ def test_a_name_given_twice_is_made_once(tmp_path: Path) -> None:
     assert names == ["made scan phone_scan0", "made truth phone_scan0"]
 
 
-def test_more_recordings_are_added_to_those_that_are_there(tmp_path: Path) -> None:
+def test_more_recordings_are_added_to_existing_ones(tmp_path: Path) -> None:
     made(tmp_path / "d")
     assert made(tmp_path / "d", 2)[0] == "up to date scan phone_scan0"
     assert Dataset(tmp_path / "d").items("scene") == ["phone_scan0", "phone_scan1"]
 
 
-def test_what_only_scans_depend_on_does_not_change_a_demonstration(dataset: Path, tmp_path: Path) -> None:
+def test_options_of_scans_do_not_change_a_demonstration(dataset: Path, tmp_path: Path) -> None:
     made(tmp_path / "d", 0, 1, frames=9, gripper_in_view=True)
     assert made(tmp_path / "d", 0, 1) == ["up to date demonstration phone_demo0"]
     assert digests(tmp_path / "d").items() <= digests(dataset).items()
@@ -207,16 +207,16 @@ def test_what_only_scans_depend_on_does_not_change_a_demonstration(dataset: Path
 @pytest.mark.parametrize(
     "defect", [{"depth_noise": 0.02}, {"flying": 0.5}, {"holes": 0.2}, {"pose_noise": 1.0}], ids=lambda d: next(iter(d))
 )
-def test_defects_change_the_recording_and_leave_the_truth(
+def test_defects_change_the_recording_and_not_ground_truth(
     dataset: Path, tmp_path: Path, defect: dict[str, float]
 ) -> None:
     made(tmp_path / "d", **defect)
-    ours, plain = digests(tmp_path / "d"), digests(dataset)
-    assert ours["truth/phone_scan0"] == plain["truth/phone_scan0"]
-    assert ours["scan/phone_scan0"] != plain["scan/phone_scan0"]
+    defective, plain = digests(tmp_path / "d"), digests(dataset)
+    assert defective["truth/phone_scan0"] == plain["truth/phone_scan0"]
+    assert defective["scan/phone_scan0"] != plain["scan/phone_scan0"]
 
 
-def test_pose_noise_is_in_the_recording_s_poses_and_exact_depth_is_exact(tmp_path: Path) -> None:
+def test_pose_noise_is_in_the_recordings_poses_only_and_zero_depth_noise_gives_exact_depth(tmp_path: Path) -> None:
     made(tmp_path / "d", pose_noise=1.0, depth_noise=0.0, frames=40)
     scan, truth = Scan(tmp_path / "d" / "scan" / "phone_scan0"), Truth(tmp_path / "d" / "truth" / "phone_scan0")
     exact, noisy = truth.world_from_cameras("wrist"), scan.camera("wrist").world_from_cameras
@@ -228,7 +228,7 @@ def test_pose_noise_is_in_the_recording_s_poses_and_exact_depth_is_exact(tmp_pat
     np.testing.assert_array_equal(scan.camera("wrist").depth(7), truth.depth("wrist", 7))
 
 
-def test_cameras_may_have_sizes_of_their_own(tmp_path: Path) -> None:
+def test_cameras_may_have_different_sizes(tmp_path: Path) -> None:
     made(tmp_path / "d", overhead_height=20, overhead_width=40)
     scan = Scan(tmp_path / "d" / "scan" / "phone_scan0")
     assert [(camera.name, camera.height, camera.width) for camera in scan.cameras] == [
@@ -239,7 +239,7 @@ def test_cameras_may_have_sizes_of_their_own(tmp_path: Path) -> None:
     assert Scan(tmp_path / "e" / "scan" / "phone_scan0").camera_names == ["wrist"]
 
 
-def test_failed_demonstrations_are_counted_and_drawn_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_demonstrations_are_counted_and_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seeds = []
     real = experts.demonstrate
 
@@ -255,7 +255,7 @@ def test_failed_demonstrations_are_counted_and_drawn_anew(tmp_path: Path, monkey
     assert [seed[-1] for seed in seeds] == [0, 1, 2]
 
 
-def test_a_task_that_never_succeeds_is_given_up_and_nothing_is_left(
+def test_a_task_that_never_succeeds_is_given_up_and_leaves_no_dataset(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(experts, "demonstrate", lambda *_: None)
@@ -266,7 +266,7 @@ def test_a_task_that_never_succeeds_is_given_up_and_nothing_is_left(
     assert not (tmp_path / "d").exists()
 
 
-def test_interruption_keeps_what_was_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interruption_keeps_finished_recordings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = simulate_module._write
 
     def stopped(out: Path, out_truth: Path, job: simulate_module.Job, *rest: object) -> None:
@@ -290,7 +290,7 @@ def simulating(root: Path, *words: object) -> list[str]:
 
 @pytest.mark.kill
 @pytest.mark.slow
-def test_kills_at_any_moment_lose_nothing_finished(tmp_path: Path) -> None:
+def test_kills_at_any_time_lose_no_finished_recording(tmp_path: Path) -> None:
     words = ("--scans", 6, "--demonstrations", 2)
     begun = time.monotonic()
     subprocess.run(simulating(tmp_path / "whole", *words), check=True, capture_output=True)
@@ -338,7 +338,7 @@ def test_recording_that_a_kill_left_unlisted_is_listed_by_the_same_command(tmp_p
     assert (tmp_path / "d" / "dataset.json").read_text() == listed
 
 
-def test_name_of_the_other_sort_of_recording_is_refused(tmp_path: Path) -> None:
+def test_name_of_the_other_kind_of_recording_is_refused(tmp_path: Path) -> None:
     made(tmp_path / "d")
     file = tmp_path / "d" / "dataset.json"
     document = json.loads(file.read_text())
@@ -349,13 +349,13 @@ def test_name_of_the_other_sort_of_recording_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["lid_scan0", "phone_scan", "phone_view0", "phone_scan0/x"])
-def test_only_takes_names_of_the_task_s_recordings(tmp_path: Path, name: str) -> None:
+def test_only_accepts_names_of_the_tasks_recordings(tmp_path: Path, name: str) -> None:
     with pytest.raises(UsageError, match="--only: expected names like phone_scan0, phone_demo12, got"):
         made(tmp_path / "d", only=(name,))
     assert not (tmp_path / "d").exists()
 
 
-def test_nothing_asked_for_is_refused(tmp_path: Path) -> None:
+def test_a_request_for_no_recording_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="expected --scans or --demonstrations, got neither"):
         made(tmp_path / "d", 0, 0)
 
@@ -384,7 +384,7 @@ def command(*words: object) -> tuple[int, str, str]:
 SMALL = ("--height", 24, "--width", 32, "--frames", 2, "--demonstrations", 0, "--scans", 1)
 
 
-def test_command_says_what_it_made_and_what_comes_next(tmp_path: Path) -> None:
+def test_command_reports_its_results_and_the_next_command(tmp_path: Path) -> None:
     code, out, err = command(tmp_path / "d", "--task", "lid", *SMALL, "--json")
     assert code == 0
     document = json.loads(out)
@@ -395,13 +395,13 @@ def test_command_says_what_it_made_and_what_comes_next(tmp_path: Path) -> None:
     assert command(tmp_path / "d", "--task", "lid", *SMALL, "--seed", 3)[0] == 3
 
 
-def test_command_tells_of_failed_demonstrations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_reports_failed_demonstrations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simulate_module, "simulate", lambda *_, **__: ([], 4))
     assert "4 demonstrations failed at the task and were drawn anew" in command(tmp_path / "d", "--task", "lid")[2]
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--task", "lid", "--depth-noise", "0.5"], "--depth-noise"),
         (["--task", "lid", "--cameras", "wrist,side"], "--cameras"),
@@ -411,10 +411,10 @@ def test_command_tells_of_failed_demonstrations(tmp_path: Path, monkeypatch: pyt
         ([], "--task"),
     ],
 )
-def test_nonsense_is_refused_before_anything_is_made(tmp_path: Path, words: list[str], said: str) -> None:
+def test_invalid_options_are_refused_before_anything_is_made(tmp_path: Path, words: list[str], message: str) -> None:
     code, _, err = command(tmp_path / "d", *words)
     assert code == 2
-    assert said in err
+    assert message in err
     assert not (tmp_path / "d").exists()
 
 
