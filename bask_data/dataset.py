@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from bask_data.artifact import (
 )
 from bask_data.errors import BadData, UsageError, WouldOverwrite
 from bask_data.params import first_fault
+from bask_data.spelling import suggestion
 
 DATASET = "dataset.json"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
@@ -143,6 +145,25 @@ class Dataset:
             return list(self.file.demonstrations)
         return [*self.file.scenes, *self.file.demonstrations]
 
+    def select(self, names: Sequence[str], scope: str = "recording", *, option: str = "--only") -> list[str]:
+        """Items of a scope by name, each once, in the order given; all of them if none is named.
+
+        Args:
+            option: the option that gave the names, for the error.
+
+        Raises:
+            UsageError: no item has one of these names, or there is no item at all.
+        """
+        known = self.items(scope)
+        unknown = [name for name in names if name not in set(known)]
+        if unknown:
+            expected, fix = f"one of {', '.join(known) or 'no items yet'}", suggestion(unknown[0], known)
+            raise UsageError(self.root, option, expected=expected, got=", ".join(unknown), fix=fix)
+        if not known:
+            fix = "bask-data ingest --help"
+            raise UsageError(self.root, "", expected=f"a {scope}", got="none in the dataset", fix=fix)
+        return list(dict.fromkeys(names)) or known
+
     def path(self, artifact: type[Artifact], item: str = "", variant: str = "main") -> Path:
         """Where an artifact lies, whether it exists or not."""
         return self.root / artifact_place(artifact, item, variant)
@@ -192,6 +213,7 @@ class Dataset:
                     "splits",
                     expected=f"one of {', '.join(self.file.scenes) or 'no scenes'}",
                     got=name,
+                    fix=suggestion(name, self.file.scenes),
                 )
         doubled = sorted({name for name in names if names.count(name) > 1})
         if doubled:

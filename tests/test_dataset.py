@@ -86,6 +86,35 @@ def test_items_added_at_the_same_time_are_all_kept(tmp_path: Path) -> None:
     assert sorted(Dataset(tmp_path).items("scene")) == sorted(names)
 
 
+def test_items_are_selected_by_name_each_once_and_all_by_default(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path)
+    for scope, name in (("scene", "table"), ("scene", "shelf"), ("demonstration", "pour")):
+        dataset.add(scope, name, SOURCE)
+    assert dataset.select([]) == ["table", "shelf", "pour"]
+    assert dataset.select(["pour", "table", "pour"]) == ["pour", "table"]
+    assert dataset.select([], "scene") == ["table", "shelf"]
+
+
+def test_a_misspelt_item_is_refused_with_the_nearest_name(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path)
+    for name in ("table1", "shelf"):
+        dataset.add("scene", name, SOURCE)
+    with pytest.raises(
+        UsageError, match=r"--only: expected one of table1, shelf, got tabel1\.  fix: did you mean table1\?"
+    ):
+        dataset.select(["shelf", "tabel1"])
+    with pytest.raises(UsageError, match=r"splits: expected one of .*, got Shelf\.  fix: did you mean shelf\?"):
+        dataset.set_splits(Splits(test=("Shelf",)))
+
+
+def test_selecting_from_a_dataset_without_items_names_the_command_that_adds_them(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path)
+    with pytest.raises(UsageError, match="expected a scene, got none in the dataset.  fix: bask-data ingest --help"):
+        dataset.select([], "scene")
+    with pytest.raises(UsageError, match="--only: expected one of no items yet, got a"):
+        dataset.select(["a"])
+
+
 def test_splits_name_existing_scenes_once(tmp_path: Path) -> None:
     dataset = Dataset.create(tmp_path)
     for name in "ab":

@@ -12,9 +12,9 @@ import typer
 from bask_data.cli import completion
 from bask_data.cli.commands import CommandList
 from bask_data.cli.console import print_result, say, shown_progress
-from bask_data.cli.options import Json, Only, Root
+from bask_data.cli.options import Json, Only, Root, names_of
 from bask_data.cli.panels import OUTPUT
-from bask_data.cli.working import chosen_recordings, quoted
+from bask_data.cli.working import quoted
 from bask_data.dataset import Dataset
 from bask_data.errors import UsageError
 
@@ -122,7 +122,7 @@ def view(
     from bask_data.view.choice import Choice
 
     dataset = Dataset(root)
-    choice = Choice(chosen_recordings(dataset, only), every, pairs, variant, beliefs)
+    choice = Choice(dataset.select(names_of(only)), every, pairs, variant, beliefs)
     _refuse_unknown_variant(dataset, variant)
     if video is not None:
         _write_videos(dataset, video, choice, force, json_)

@@ -12,9 +12,7 @@ from typing import Any
 import typer
 
 from bask_data.cli.console import print_result, say
-from bask_data.cli.options import names_of
 from bask_data.config import load_config
-from bask_data.dataset import Dataset
 from bask_data.engine import Config, Outcome, RunRequest
 from bask_data.errors import UsageError, imported
 from bask_data.pipeline import STAGES
@@ -119,16 +117,3 @@ def attributes_of(outcome: Outcome) -> dict[str, Any]:
     from bask_data.artifact import Artifact
 
     return Artifact(outcome.path).attributes
-
-
-def chosen_recordings(dataset: Dataset, only: str) -> list[str]:
-    """Scenes and demonstrations by name, or all; there must be some."""
-    names, there = names_of(only), dataset.items("recording")
-    unknown = [name for name in names if name not in there]
-    if unknown:
-        known = ", ".join(there) or "no items yet"
-        raise UsageError(dataset.root, "--only", expected=f"one of {known}", got=", ".join(unknown))
-    if not there:
-        fix = "bask-data ingest --help"
-        raise UsageError(dataset.root, "", expected="a recording", got="none in the dataset", fix=fix)
-    return list(dict.fromkeys(names)) or there

@@ -63,7 +63,8 @@ def planned(dataset: Dataset, stages: Sequence[Stage], request: RunRequest) -> l
         raise UsageError("run", "stages", expected=f"some of {', '.join(names)}", got=", ".join(unknown))
     if request.options and len(request.stages) != 1:
         raise UsageError("run", "options", expected="one stage whose they are", got=", ".join(request.stages) or "all")
-    _refuse_unknown_items(dataset, request)
+    if request.only:
+        dataset.select(request.only)
     recorded = read_requested(dataset.root, stages)
     if request.replaces:
         recorded = Requested(files=recorded.files)
@@ -142,23 +143,13 @@ def status(dataset: Dataset, stages: Sequence[Stage], request: RunRequest | None
     return standings()
 
 
-def _refuse_unknown_items(dataset: Dataset, request: RunRequest) -> None:
-    there = dataset.items("recording")
-    unknown = [name for name in request.only if name not in set(there)]
-    if unknown:
-        known = ", ".join(there) or "no items yet"
-        raise UsageError(dataset.root, "--only", expected=f"one of {known}", got=", ".join(unknown))
-
-
 def _refuse_nothing(dataset: Dataset, batches: Sequence[PlannedStage], request: RunRequest) -> None:
     """A run that can make nothing of what the dataset holds is most likely one of an empty dataset."""
-    fix = "bask-data ingest --help"
-    if not request.stages and not dataset.items("recording"):
-        raise UsageError(dataset.root, "", expected="a recording", got="none in the dataset", fix=fix)
+    if not request.stages:
+        dataset.select([])
     for batch in batches if request.stages else ():
         if not batch.tasks:
-            scope = batch.stage.makes.scope
-            raise UsageError(dataset.root, "", expected=f"a {scope}", got="none in the dataset", fix=fix)
+            dataset.select([], batch.stage.makes.scope)
 
 
 def _items(dataset: Dataset, stage: Stage, request: RunRequest) -> list[str] | None:

@@ -107,12 +107,7 @@ def plan(
     """
     makes = stage.makes
     items = dataset.items(makes.scope) if makes.scope != "dataset" else [""]
-    there = set(items)
-    unknown = [name for name in only if name not in there]
-    if unknown and makes.scope != "dataset":
-        raise UsageError(
-            dataset.root, "--only", expected=f"one of {', '.join(items) or 'no items yet'}", got=", ".join(unknown)
-        )
+    wanted = set(dataset.select(only, makes.scope) if only and makes.scope != "dataset" else items)
     recorded_inputs = dataset.variants(makes).get(variant, Variant()).inputs
     chosen = {**recorded_inputs, **(variant_inputs or {})}
     # They become names of folders, and what stands in a target's place is replaced.
@@ -121,7 +116,6 @@ def plan(
     _refuse_unknown_sections(dataset, stage, config or {}, variant)
     requested = read_requested(dataset.root) if requested is None else requested
     parameters = _Parameters(dataset, stage, variant, config or {}, options or {}, requested)
-    wanted = set(only) if only and makes.scope != "dataset" else there
     tasks = []
     for item in items:
         if item not in wanted:

@@ -52,10 +52,9 @@ def held_out(dataset: Dataset, variants: Sequence[str], scenes: Sequence[str] = 
         UsageError: a scene or a variant is asked for that is not there, or no scene can be measured.
     """
     check_variants(dataset, variants)
-    splits, known = dataset.file.splits, dataset.items("scene")
-    for name in scenes:
-        if name not in known:
-            raise UsageError(dataset.root, "--scenes", expected=f"one of {', '.join(known) or 'no scenes'}", got=name)
+    splits = dataset.file.splits
+    if scenes:
+        dataset.select(scenes, "scene", option="--scenes")
     twice = sorted({name for name in scenes if scenes.count(name) > 1})
     if twice:
         raise UsageError(dataset.root, "--scenes", expected="each scene once", got=f"{twice[0]} more than once")

@@ -17,12 +17,12 @@ def scenes_with_truth(dataset: Dataset, kind: type[Artifact], only: Sequence[str
     Raises:
         UsageError: there is none, or one asked for lacks either.
     """
-    known = dataset.items("scene")
-    for name in only:
-        if name not in known:
-            raise UsageError(dataset.root, "--only", expected=f"one of {', '.join(known) or 'no scenes'}", got=name)
+    if only:
+        dataset.select(only, "scene")
     scenes = [
-        name for name in only or known if all((dataset.path(one, name) / MANIFEST).exists() for one in (kind, Truth))
+        name
+        for name in only or dataset.items("scene")
+        if all((dataset.path(one, name) / MANIFEST).exists() for one in (kind, Truth))
     ]
     if not scenes or (only and len(scenes) < len(only)):
         raise UsageError(

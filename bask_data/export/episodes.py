@@ -281,15 +281,12 @@ def _divided(dataset: Dataset, settings: ExportSettings) -> list[tuple[str, str]
     """(demonstration, split), by split and then as the dataset lists them."""
     there = dataset.items("demonstration")
     for option, names in (("--only", settings.only), ("--validation", settings.validation), ("--test", settings.test)):
-        if unknown := [name for name in names if name not in there]:
-            known = ", ".join(there) or "no demonstrations yet"
-            raise UsageError(dataset.root, option, expected=f"one of {known}", got=", ".join(unknown))
+        if names:
+            dataset.select(names, "demonstration", option=option)
     if both := [name for name in settings.validation if name in settings.test]:
         raise UsageError("export", "--test", expected="others than --validation", got=", ".join(both))
-    chosen = [name for name in there if name in settings.only or not settings.only]
-    if not chosen:
-        fix = "bask-data ingest --help"
-        raise UsageError(dataset.root, "", expected="a demonstration", got="none in the dataset", fix=fix)
+    selected = set(dataset.select(settings.only, "demonstration"))
+    chosen = [name for name in there if name in selected]
     of = {**dict.fromkeys(settings.validation, "validation"), **dict.fromkeys(settings.test, "test")}
     return sorted(((name, of.get(name, "train")) for name in chosen), key=lambda pair: SPLITS.index(pair[1]))
 
