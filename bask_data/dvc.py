@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bask_data.artifact import write_text_atomically
 from bask_data.dataset import DATASET, Dataset, Source
 from bask_data.engine import (
     Config,
@@ -25,10 +27,55 @@ from bask_data.engine import (
     resolve,
     sections_for,
 )
+from bask_data.errors import UsageError
 from bask_data.kinds import KINDS, Demonstration, Scan
 
 _HEADER = "# Written by `bask-data dvc`; change params.yaml or dataset.json, then run it again.\n"
 _PARAMS_HEADER = "# Parameters of every stage. A section `stage@name` holds what differs for one item or variant.\n"
+
+
+@dataclass(frozen=True)
+class DvcFiles:
+    """The files that DVC reads, as rendered.
+
+    Args:
+        root: the dataset's directory, where they belong.
+        texts: content by file name.
+        changed: names of those that are missing on disk or differ.
+    """
+
+    root: Path
+    texts: dict[str, str]
+    changed: tuple[str, ...]
+
+    def refuse_changed(self) -> None:
+        """`UsageError` if a file on disk is missing or differs."""
+        if self.changed:
+            fix = f"bask-data dvc {self.root}"
+            names = ", ".join(self.changed)
+            raise UsageError(self.root, names, expected="what the code renders", got="something else", fix=fix)
+
+
+def compared_files(dataset: Dataset, stages: Sequence[Stage], config: Config) -> DvcFiles:
+    """The rendered files, compared with those on disk. Nothing is written."""
+    texts = render(dataset, stages, config)
+    changed = tuple(name for name, text in texts.items() if not _holds(dataset.root / name, text))
+    return DvcFiles(dataset.root, texts, changed)
+
+
+def written_files(dataset: Dataset, stages: Sequence[Stage], config: Config) -> DvcFiles:
+    """The rendered files, with those that differed now on disk, and the groups above artifacts, which Git keeps."""
+    files = compared_files(dataset, stages, config)
+    for name in files.changed:
+        write_text_atomically(dataset.root / name, files.texts[name])
+    for stage in stages:
+        for variant in dataset.variants(stage.makes):
+            dataset.prepare(stage.makes, variant)
+    return files
+
+
+def _holds(file: Path, text: str) -> bool:
+    return file.exists() and file.read_text(encoding="utf-8") == text
 
 
 def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[str, str]:

@@ -10,7 +10,8 @@ import yaml
 
 from bask_data.config import load_config
 from bask_data.dataset import Dataset, Variant
-from bask_data.dvc import render
+from bask_data.dvc import compared_files, render, written_files
+from bask_data.errors import UsageError
 from bask_data.kinds import KeypointTrack
 from bask_data.pipeline import STAGES
 from tests.tiny import PARAMS, write_recording
@@ -94,6 +95,17 @@ def test_own_lines_of_gitignore_stay(repository: Path) -> None:
     assert lines[0] == "mine"
     assert "/scan/*/" in lines
     sh(repository, "bask-data", "dvc", "table", "--check")
+
+
+def test_only_files_that_differ_are_written_and_a_check_refuses_them(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    assert written_files(dataset, STAGES, {}).changed == ("dvc.yaml", "params.yaml", ".gitignore")
+    compared_files(dataset, STAGES, {}).refuse_changed()
+    (dataset.root / "params.yaml").write_text("train: {}\n")
+    with pytest.raises(UsageError, match=r"params\.yaml: expected what the code renders, .*  fix: bask-data dvc"):
+        compared_files(dataset, STAGES, {}).refuse_changed()
+    assert (dataset.root / "params.yaml").read_text() == "train: {}\n"
+    assert written_files(dataset, STAGES, {}).changed == ("params.yaml",)
 
 
 def test_variants_have_stages_of_their_own(repository: Path) -> None:

@@ -13,7 +13,6 @@ from bask_data.cli.console import print_result, say, shown_progress
 from bask_data.cli.options import ConfigFile, Json, Preset, Root, names_of
 from bask_data.cli.working import parameters_of, quoted
 from bask_data.dataset import Dataset
-from bask_data.errors import UsageError
 from bask_data.export import FORMATS
 from bask_data.pipeline import STAGES
 
@@ -112,25 +111,14 @@ def dvc(
     json_: Json = False,
 ) -> None:
     """Write dvc.yaml and params.yaml, so that `dvc repro` runs and records the pipeline."""
-    from bask_data.dvc import render
+    from bask_data.dvc import compared_files, written_files
 
-    dataset = Dataset(root)
-    rendered = render(dataset, STAGES, parameters_of(root, config, [], preset))
-    changed = [name for name, text in rendered.items() if not _holds(root / name, text)]
-    print_result("dvc", changed if check else [], {"files": sorted(rendered), "changed": changed}, json_)
+    files = (compared_files if check else written_files)(Dataset(root), STAGES, parameters_of(root, config, [], preset))
+    document = {"files": sorted(files.texts), "changed": list(files.changed)}
+    print_result("dvc", files.changed if check else [], document, json_)
     if check:
-        if changed:
-            fix = f"bask-data dvc {root}"
-            raise UsageError(root, ", ".join(changed), expected="what the code renders", got="something else", fix=fix)
+        files.refuse_changed()
         return
-    for name in changed:
-        (root / name).write_text(rendered[name])
+    for name in files.changed:
         say(f"made {root / name}")
-    for stage in STAGES:
-        for variant in dataset.variants(stage.makes):
-            dataset.prepare(stage.makes, variant)
     say(f"next: dvc repro {quoted(root / 'dvc.yaml')}")
-
-
-def _holds(file: Path, text: str) -> bool:
-    return file.exists() and file.read_text() == text
