@@ -1,7 +1,7 @@
-"""What may be solid although no image measured it: the convex hull of an object, less what was seen through.
+"""Space that may be solid although no image measured it: the convex hull of an object, less what was seen through.
 
-A sensor gives nothing on dark, shiny or steep surface, so a fused mesh has holes there. Nothing is invented where
-measurements passed: the hole in the handle of a mug stays open, because the table was measured through it.
+Sensors return nothing on dark, shiny or oblique surfaces, so a fused mesh has holes there. Nothing is filled where
+measurements passed: the hole in a mug's handle stays open, because the table was measured through it.
 """
 
 from __future__ import annotations
@@ -17,27 +17,28 @@ from bask_data.core.geometry import in_image, invert_rigid, project, transform
 from bask_data.core.visibility.surface import Surface
 
 N_CELLS = 48
-"""Cells along the longest side of an object, at most; more would show no finer than a few pixels."""
+"""Most cells along the longest side of an object. Chosen, sensitivity not measured."""
 
 SMALLEST_CELL = 0.003
-"""Metres."""
+"""Metres; assumes a tabletop and a sensor with a few millimetres of noise. Chosen, sensitivity not measured."""
 
 N_TRIED = 2000
-"""Vertices looked at to learn how convex an object is."""
+"""Vertices tested to judge how convex an object is. Chosen, sensitivity not measured."""
 
 INSET = 1.0
-"""Cells inside the hull at which what was not measured is filled. The vertices farthest out, which make the hull, are
-where noise put them."""
+"""Cells inside the hull from which unmeasured space is filled: the outermost vertices, which span the hull, are where
+noise put them. Chosen, sensitivity not measured."""
 
 DEEP = 1 / 8
-"""Share of an object's length that a vertex may lie inside the hull before it speaks against a convex shape."""
+"""Share of an object's length inside the hull from which a vertex counts as evidence against a convex shape. Chosen,
+sensitivity not measured."""
 
 MOST_DEEP = 0.05
-"""Share of vertices that may. A crate full of things, or several objects that were not told apart, has more; their hull
-spans air that a sensor's shadow hides from every frame, and is left alone."""
+"""Largest share of such vertices. A full crate, or several objects that were not separated, have more; their hull spans
+air that a sensor's shadow hides from every frame, and is not filled. Chosen, sensitivity not measured."""
 
 SEEN_THROUGH = 2
-"""Frames that must have measured beyond a cell: one alone may be a reflection."""
+"""Frames that must have measured beyond a cell: a single one may be a reflection. Chosen, sensitivity not measured."""
 
 
 @dataclass
@@ -57,7 +58,7 @@ class _Block:
 
 
 class Completion:
-    """The hulls of all instances, carved frame by frame (`carve`), then asked which pixels they fill.
+    """The hulls of all instances: carved frame by frame (`carve`), then queried for the pixels they fill.
 
     Args:
         reach: metres around a hull within which a measured point may still be the object's.
@@ -80,7 +81,7 @@ class Completion:
         world_from_camera: Float[ndarray, "4 4"],
         tolerance: tuple[float, float],
     ) -> None:
-        """Count the cells one frame measured through, and those it measured a surface in."""
+        """Count the cells that a frame measured through, and those in which it measured a surface."""
         for block in self._blocks:
             uv, z = project(transform(invert_rigid(world_from_camera), block.centres_world), K)
             seen = np.flatnonzero(in_image(uv, *depth.shape))
@@ -91,7 +92,7 @@ class Completion:
             block.n_on[seen] += (measured > 0) & (np.abs(measured - z[seen]) <= slack)
 
     def finish(self) -> None:
-        """Close the counting; `hit` and `holds` answer from here on."""
+        """End carving; required before `hit` and `holds`."""
         parts, labels = [], []
         self._allowed = []
         for block in self._blocks:
@@ -115,7 +116,7 @@ class Completion:
         return hits.distance, self._face_label[i_face]
 
     def holds(self, points_world: Float32[ndarray, "n 3"]) -> UInt8[ndarray, "n"]:
-        """The instance in whose hull, or within reach of it, a point lies that was not seen through; 0: none."""
+        """The instance whose hull, widened by the reach, holds each point, unless it was seen through; 0: none."""
         label = np.zeros(len(points_world), np.uint8)
         for block, allowed in zip(self._blocks, self._allowed, strict=True):
             index = np.floor((points_world - block.lowest) / block.cell).astype(int)
@@ -126,7 +127,7 @@ class Completion:
 
 
 def _block(points: Float[ndarray, "n 3"], instance: int, reach: float) -> _Block | None:
-    """None where the points enclose nothing, being too few or all in a plane, or are far from a convex shape."""
+    """The cells of an instance; None where its points enclose no volume or are far from a convex shape."""
     if len(points) < 4:
         return None
     try:
@@ -136,8 +137,8 @@ def _block(points: Float[ndarray, "n 3"], instance: int, reach: float) -> _Block
     # Neighbouring triangles of a face have the same plane; each plane once.
     planes = np.unique(np.round(hull.equations, 6), axis=0)
     length = float(np.ptp(points, axis=0).max())
-    some = points[:: max(1, len(points) // N_TRIED)]
-    if (_outside(some, planes) < -DEEP * length).mean() > MOST_DEEP:
+    sample = points[:: max(1, len(points) // N_TRIED)]
+    if (_outside(sample, planes) < -DEEP * length).mean() > MOST_DEEP:
         return None
     cell = max(SMALLEST_CELL, length / N_CELLS)
     lowest = points.min(axis=0) - reach - cell
@@ -161,7 +162,7 @@ def _block(points: Float[ndarray, "n 3"], instance: int, reach: float) -> _Block
 
 
 def _outside(points: Float[ndarray, "n 3"], planes: Float[ndarray, "m 4"]) -> Float[ndarray, "n"]:
-    """Metres from a hull given by its planes; negative inside."""
+    """Distance from a hull given by its planes, metres; negative inside."""
     outside = np.full(len(points), -np.inf)
     for plane in planes:
         np.maximum(outside, points @ plane[:3] + plane[3], out=outside)

@@ -1,4 +1,4 @@
-"""What the ray to the mesh and the measured depth together say of each pixel."""
+"""The label of each pixel, from the ray to the mesh and the measured depth together."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from numpy import ndarray
 from bask_data.core.compiled import compiled
 
 EDGE_REACH = 2
-"""Pixels by which the silhouette of the mesh may miss that of the object; about a voxel."""
+"""Pixels by which the mesh's silhouette may be off the object's. Chosen; its sensitivity is in docs/benchmarks.md."""
 
 VOTE_RADII = (2, 4)
-"""Pixels around one without measurement in which measured ones speak for it; the wider window where the first is
-silent. Farther off, a shiny face that is wrongly measured in one place would lose all that was not measured."""
+"""Half the windows, pixels, in which measured pixels vote on one without measurement; the wider where the first has
+none. In a larger window, a single wrong measurement on a shiny face would remove all that was not measured. Chosen,
+sensitivity not measured."""
 
 
 STEPS_NEARBY = np.array(
@@ -29,12 +30,13 @@ STEPS_NEARBY = np.array(
 
 @dataclass(frozen=True)
 class Decision:
-    """What ray and measurement say together.
+    """The labels of an image and how they were decided.
 
     Args:
-        measured: False at pixels whose ray meets an object and which have no measurement.
+        measured: False where the ray meets an object and nothing was measured.
         agrees: the measurement lies on the mesh, at this pixel or within `EDGE_REACH`.
-        in_front: the measurement lies before the mesh.
+        in_front: the measurement lies in front of the mesh.
+        n_pixels: pixels of objects by how they were decided.
     """
 
     label: UInt8[ndarray, "h w"]
@@ -51,20 +53,21 @@ def decided(
     region: Bool[ndarray, "h w"],
     tolerance: tuple[float, float],
 ) -> Decision:
-    """Label of each pixel from the ray's and from the measurement, and how many objects' pixels were decided by which.
+    """The label of each pixel.
 
-    - Both agree: the ray's label.
-    - They do not, but the measurement agrees with the mesh within `EDGE_REACH` pixels: the label from there. So edges
-      lie where they were measured, not where the voxels put them, and thin parts keep their width.
-    - Measured in front of the mesh: something the mesh does not know is in the way (a hand, a gripper). Measured
-      behind: the mesh is wrong there, or the object was moved. Neither shows the object: 0.
-    - Not measured: the ray's label, unless the nearest measurements around speak mostly of something in front or
-      behind.
+    - Ray and measurement agree: the ray's label.
+    - They disagree, but the measurement agrees with the mesh within `EDGE_REACH` pixels: the label there. Edges are
+      then where they were measured, not where the voxels put them, and thin parts keep their width.
+    - Measured in front of the mesh: an occluder that the mesh does not contain, such as a hand or a gripper. Measured
+      behind: an error of the mesh, or the object was moved. Neither shows the object: 0.
+    - Not measured: the ray's label, unless most measurements nearby are in front of or behind the mesh.
 
     Args:
-        ray_label: instance the ray meets first.
+        ray_label: instance that the ray meets first.
         rendered: z-depth of that hit, metres; infinity for none.
-        region: pixels a ray was cast for. Outside nothing is known, and nothing changed.
+        depth: measured z-depth, metres; 0 means no measurement.
+        region: pixels a ray was cast for; others keep their label.
+        tolerance: (a, b): measurement and mesh agree within a + b z metres.
     """
     label, agrees, in_front, silent, vote, counts = _by_measurement(
         ray_label, rendered, depth, region, np.float32(tolerance[0]), np.float32(tolerance[1]), STEPS_NEARBY
@@ -86,11 +89,12 @@ def _by_measurement(  # type: ignore[no-untyped-def]
     ray_label, rendered, depth, region, constant, per_metre, steps
 ):
     """All that is decided pixel by pixel, in one pass over the image: label, agrees, in front, silent (h, w); the vote
-    of each pixel (h, w), 1 where the measurement lies on the mesh, -1 where it contradicts it; and how many objects'
-    pixels agree, are measured in front, behind, or not at all, and how many pixels contradict.
+    of each pixel (h, w), 1 where the measurement lies on the mesh, -1 where it contradicts it; and the numbers of
+    pixels of objects that agree, are measured in front, behind, or not at all, and of pixels that contradict.
 
     Args:
-        steps: (n, 2) pixels along v and u to where a measurement off the mesh is looked for, nearest first.
+        steps: (n, 2) steps along v and u to the pixels whose surface a measurement off the mesh is compared with,
+            nearest first.
     """
     height, width = depth.shape
     label = ray_label.copy()
@@ -123,8 +127,8 @@ def _by_measurement(  # type: ignore[no-untyped-def]
                 vote[v, u] = 1
                 counts[0] += own > 0
             elif np.isfinite(surface):
-                # A measurement where the mesh has a hole speaks for nothing: the background beside an object is no
-                # obstacle before it.
+                # A measurement where the mesh has a hole has no vote: the background beside an object does not
+                # occlude it.
                 vote[v, u] = -1
                 counts[4] += 1
                 in_front[v, u] = z < surface
@@ -135,9 +139,9 @@ def _by_measurement(  # type: ignore[no-untyped-def]
 
 @compiled
 def _hide_outvoted(vote, silent, label, radii):  # type: ignore[no-untyped-def]
-    """Take the label from silent pixels among measured ones most of which contradict the mesh, and count these pixels.
+    """Remove the label of silent pixels around which most measurements contradict the mesh, and count these pixels.
 
-    Sums over a window slide along rows and columns, so that a large window costs no more than a small one.
+    Sums over a window slide along rows and columns, so a large window costs no more than a small one.
     """
     height, width = vote.shape
     undecided, n_hidden = silent.copy(), 0

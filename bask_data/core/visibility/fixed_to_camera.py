@@ -14,14 +14,16 @@ from bask_data.core.visibility.sensor import MASK_TOLERANCE
 from bask_data.core.visibility.surface import rays_of
 
 N_CONFIRMING_RAYS = 40_000
-"""Rays cast per frame in the search for what is fixed to the camera; every pixel would cost as much as the masks."""
+"""Rays cast per frame in the search for what is fixed to the camera; every pixel would cost as much as the masks.
+Chosen, sensitivity not measured."""
 
 STEADY = 0.35
-"""Colour at a pixel that varies over the frames by less than this share of what the scene's pixels do is taken for
-fixed."""
+"""Share of the scene's standard deviation over the frames below which a pixel's grey value counts as constant. Chosen,
+sensitivity not measured."""
 
 LEAST_CHANGE = 8.0
-"""Grey levels; when the scene's own pixels vary by less, the camera hardly moved and nothing can be told."""
+"""Standard deviation of the scene's pixels over the frames, grey levels of 255, below which the camera hardly moved and
+nothing is concluded. Chosen, sensitivity not measured."""
 
 
 def confirmed(
@@ -31,7 +33,11 @@ def confirmed(
     world_from_camera: Float[ndarray, "4 4"],
     tolerance: tuple[float, float] = MASK_TOLERANCE,
 ) -> Bool[ndarray, "h w"]:
-    """Pixels whose measurement lies on the mesh, among an even selection of those that have one."""
+    """Pixels whose measurement lies on the mesh, among an even sample of those that have one.
+
+    Args:
+        tolerance: (a, b): measurement and mesh agree within a + b z metres.
+    """
     where = np.flatnonzero(depth)
     where = where[:: max(1, len(where) // N_CONFIRMING_RAYS)]
     seen = np.zeros(depth.shape, bool)
@@ -45,10 +51,10 @@ def confirmed(
 def fixed_to_camera(
     frames: Iterable[tuple[UInt8[ndarray, "h w 3"], Bool[ndarray, "h w"]]], height: int, width: int
 ) -> Bool[ndarray, "h w"]:
-    """Pixels that show something which moves with the camera: a gripper's pads, which often give no depth at all.
+    """Pixels that show something which moves with the camera, such as a gripper's pads, which often give no depth.
 
     Such a pixel looks the same in every frame while the rest of the image changes, and its depth never lies on the
-    reconstruction. Colour alone would take a bare wall for it, depth alone every hole of the sensor.
+    reconstruction. By colour alone, a bare wall would pass; by depth alone, every hole of the sensor.
 
     Args:
         frames: colour, and the pixels whose depth is `confirmed`, of frames spread over a camera's path.
@@ -69,9 +75,9 @@ def fixed_to_camera(
     scene_change = float(np.median(change[n_confirmed > 0]))
     if scene_change < LEAST_CHANGE:
         return nothing
-    # Two frames' worth of a stray measurement in the window is no confirmation; a scene's pixel has dozens.
+    # Two confirmed pixels in a window of 25 over all frames may be stray; a pixel of the scene has dozens.
     confirmations = cv2.boxFilter(n_confirmed, -1, (5, 5), normalize=False, borderType=cv2.BORDER_CONSTANT)
     steady = ((change < STEADY * scene_change) & (confirmations <= 2)).astype(np.uint8)
     steady = cv2.morphologyEx(steady, cv2.MORPH_OPEN, np.ones((9, 9), np.uint8))
-    # Both windows reach two pixels over the outline, and the opening rounds its corners.
+    # Both windows reach two pixels beyond the outline, and the opening rounds its corners.
     return cv2.dilate(steady, np.ones((7, 7), np.uint8)) > 0

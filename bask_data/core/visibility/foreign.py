@@ -1,4 +1,4 @@
-"""What hides an object and gives no depth, found by its colour."""
+"""Occluders without depth, found by their colour."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from bask_data.core.compiled import compiled
 from bask_data.core.visibility.labelled import NO_VERTEX
 
 N_COLOUR_SAMPLES = 5000
-"""Pixels whose colour is held against the mesh's to learn a frame's exposure."""
+"""Pixels whose colour is compared with the mesh's to estimate a frame's exposure. Chosen, sensitivity not measured."""
 
 N_COLOUR_SAMPLES_LEAST = 200
-"""Fewer agreeing pixels than that say nothing of it."""
+"""Fewest agreeing pixels to estimate the exposure from. Chosen, sensitivity not measured."""
 
 COLOUR_OFF = 4.0
-"""Times the usual difference from the mesh's colour at which a pixel shows something else."""
+"""A pixel shows something else where its colour differs from the mesh's by so many times the median difference. Chosen,
+sensitivity not measured."""
 
 LEAST_COLOUR_OFF = 60.0
-"""Grey levels; shadows and highlights of a moving camera change a surface by less."""
+"""Smallest such difference, grey levels of 255: shadows and highlights change a surface by less. Chosen, sensitivity
+not measured."""
 
 
 def foreign(
@@ -32,16 +34,17 @@ def foreign(
     silent: Bool[ndarray, "h w"],
     region: Bool[ndarray, "h w"],
 ) -> Bool[ndarray, "h w"]:
-    """Pixels without depth that show something the mesh does not: a finger too near or too dark for the sensor.
+    """Pixels without depth that show something the mesh does not contain: a finger too near or too dark for the sensor.
 
-    Their colour differs from the mesh's by far more than that of the pixels whose depth lies on the mesh does, after
-    the frame's exposure was fitted to the mesh's; and they hang together with a place where such a thing comes
-    from: the edge of the image or of the region, or a measurement in front of the mesh. A highlight on an object is
-    an island, and stays.
+    After fitting the frame's exposure to the mesh's, their colour differs from the mesh's by far more than that of
+    pixels whose depth lies on the mesh; and they are connected to where an occluder can enter: the edge of the image or
+    of the region, or a measurement in front of the mesh. A highlight on an object is isolated, and keeps its label.
 
     Args:
         colors: of the mesh's vertices.
-        i_vertex: vertex nearest to each ray's hit; `NO_VERTEX` for none.
+        i_vertex: a vertex of the triangle that each ray hits; `NO_VERTEX` for none.
+        agrees, in_front: of `Decision`.
+        silent: pixels without measurement.
         region: pixels a ray was cast for.
     """
     nothing = np.zeros(silent.shape, bool)
@@ -57,17 +60,17 @@ def foreign(
     usual = float(np.median(np.abs(seen - gain * expected).max(axis=1)))
     off = _colour_off(rgb, colors, i_vertex, silent & region, gain.astype(np.float32))
     limit = max(COLOUR_OFF * usual, LEAST_COLOUR_OFF)
-    # The filters over the whole image, which most frames do not need, take longer than to find out.
+    # Most frames need no filter over the whole image, and this test is faster than the filters.
     if not _may_be_strange(off, silent, np.float32(0.99 * limit)):
         return nothing
-    # One pixel says little: texture is a voxel wide on the mesh. A window's mean does.
+    # A single pixel is no evidence, because the mesh resolves texture by voxels only; the mean of a window is.
     n_around = cv2.boxFilter((off > 0).astype(np.float32), -1, (5, 5), normalize=False)
     mean_off = cv2.boxFilter(off, -1, (5, 5), normalize=False) / np.maximum(n_around, 1)
     strange = silent & region & (mean_off > limit)
     if not strange.any():
         return nothing
     _, component = cv2.connectedComponents((strange | in_front).astype(np.uint8), connectivity=8)
-    # What lies outside the region was not looked at, so a thing may come from there.
+    # Pixels outside the region were not tested, so an occluder may enter from there.
     inner = cv2.erode(region.astype(np.uint8), np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
     source = region & (inner == 0)
     # Single pixels measured in front are noise at edges, found around every object.
@@ -78,8 +81,8 @@ def foreign(
 
 @compiled
 def _colour_off(rgb, colors, i_vertex, asked, gain):  # type: ignore[no-untyped-def]
-    """(h, w) float32: largest difference of a channel between image and mesh, grey levels; 0 where not asked, or where
-    the ray meets nothing. NumPy takes six times as long to gather the colours."""
+    """(h, w) float32: largest difference of a channel between image and mesh, grey levels; 0 where not asked for, or
+    where the ray meets nothing. NumPy takes six times as long to gather the colours."""
     off = np.zeros(asked.shape, np.float32)
     for v in range(asked.shape[0]):
         for u in range(asked.shape[1]):
@@ -93,7 +96,7 @@ def _colour_off(rgb, colors, i_vertex, asked, gain):  # type: ignore[no-untyped-
 @compiled
 def _may_be_strange(off, silent, limit):  # type: ignore[no-untyped-def]
     """Whether the mean of `off` over its non-zero pixels in any silent pixel's window (5 x 5, reflected at the border)
-    exceeds a limit. Only the surroundings of pixels that exceed it themselves are looked at."""
+    exceeds a limit. Only windows around pixels that exceed it themselves are tested."""
     height, width = off.shape
     looked = np.zeros((height, width), np.bool_)
     for v in range(height):

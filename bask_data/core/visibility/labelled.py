@@ -19,12 +19,13 @@ MAX_INSTANCES = 255
 """Label images are 8-bit."""
 
 MARGIN = 1 + EDGE_REACH
-"""Pixels cast around an object's outline, so that the edges can be set right from both sides."""
+"""Pixels around an object's outline for which rays are cast, so that edges can be corrected from both sides."""
 
 N_AMODAL_RAYS = 10_000
-"""Rays cast to find how much of an instance is hidden; more than that would make a share no more telling."""
+"""Most rays cast to estimate the hidden share of an instance. Chosen, sensitivity not measured."""
 
 NO_VERTEX = np.int32(-1)
+"""Stands for the vertex of a ray that hits nothing."""
 
 MIXED = np.uint16(1000)
 """Stands for the label of a triangle whose corners differ."""
@@ -32,7 +33,7 @@ MIXED = np.uint16(1000)
 
 @dataclass(frozen=True)
 class LabelledImage:
-    """What the rays through an image's pixels meet first.
+    """The first hits of the rays through an image's pixels.
 
     Args:
         depth: z-depth, metres; infinity for nothing.
@@ -49,6 +50,8 @@ class LabelledSurface:
     """A mesh with an instance at every vertex, ready for rays.
 
     Args:
+        vertices: metres, world frame.
+        triangles: rows of `vertices`.
         vertex_instance: 0 is background, 1..`n_instances` are objects.
 
     Raises:
@@ -83,7 +86,7 @@ class LabelledSurface:
         self._alone: list[Surface | None] = []
         for label in range(1, n_instances + 1):
             own = triangles[majority == label]
-            # Rays hit every triangle that has a corner of the instance, so its outline has to hold those too.
+            # A ray can get the instance from any triangle with a corner of it, so the outline has to hold these, too.
             near = triangles[(self._corner_label == label).any(axis=1)]
             self._outlines.append(_hull(vertices[np.unique(near)]))
             self._alone.append(Surface(vertices, own) if len(own) else None)
@@ -97,7 +100,7 @@ class LabelledSurface:
         return hits.distance, self._label_of(hits)
 
     def image(self, rays: Float32[ndarray, "n 6"], region: Bool[ndarray, "h w"]) -> LabelledImage:
-        """What rays show, as an image.
+        """The first hits of rays, as an image.
 
         Args:
             rays: of the pixels of `region`, row by row.
@@ -136,7 +139,7 @@ class LabelledSurface:
         height: int,
         width: int,
     ) -> tuple[slice, slice]:
-        """Rows and columns that hold the image of an instance with a margin; empty when it is out of view."""
+        """Rows and columns of the image of an instance, with a margin; empty when it is out of view."""
         points = transform(invert_rigid(world_from_camera), self._outlines[instance - 1])
         if len(points) == 0 or (points[:, 2] <= 0).all():
             return slice(0, 0), slice(0, 0)
@@ -151,7 +154,7 @@ class LabelledSurface:
 
 @njit(inline="always")
 def _label_at(i_triangle, second, third, triangle_label, corner_label):  # type: ignore[no-untyped-def]
-    """The label of a triangle, or where its corners differ that of the nearest, the first of equally near ones."""
+    """The label of a triangle, or of its nearest corner where they differ; the first of equally near ones."""
     label = triangle_label[i_triangle]
     if label == MIXED:
         first = np.float32(1) - (second + third)
@@ -166,7 +169,7 @@ def _labels(triangle, corner_weights, triangle_label, corner_label):  # type: ig
     """The label of each hit (n,)."""
     label = np.empty(len(triangle), np.uint8)
     for i in range(len(triangle)):
-        # What misses has the largest index there is; it becomes the one after the last triangle, which is background.
+        # A miss has the largest index there is; it becomes the one after the last triangle, which is background.
         hit = min(np.int64(triangle[i]), len(corner_label))
         label[i] = _label_at(hit, corner_weights[i, 0], corner_weights[i, 1], triangle_label, corner_label)
     return label

@@ -1,4 +1,4 @@
-"""Meshes that rays are cast at, and the rays through a camera's pixels."""
+"""Ray casting: meshes, and the rays through a camera's pixels."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bask_data.core.geometry import pixel_grid, unproject
 
 
 class Hits(NamedTuple):
-    """Where n rays (origin, direction) first meet a surface.
+    """The first hits of n rays (origin, direction) on a surface.
 
     Attributes:
         distance: ray parameter: in units of the direction's length; infinity for no hit.
@@ -53,7 +53,7 @@ class Surface:
         return Hits(*(hits[name].numpy() for name in names))
 
     def meets(self, rays: Float32[ndarray, "n 6"]) -> Bool[ndarray, "n"]:
-        """Whether each ray hits anything; cheaper than to find out where."""
+        """Whether each ray hits anything; cheaper than `cast`."""
         met: Bool[ndarray, "n"] = self._scene.test_occlusions(o3d.core.Tensor.from_numpy(rays)).numpy()
         return met
 
@@ -62,7 +62,7 @@ def ray_directions(K: Float[ndarray, "3 3"], height: int, width: int) -> Float32
     """Directions in the camera frame through the pixel centres, with z = 1, so that a hit's ray parameter is its
     z-depth.
 
-    Open3D's own pinhole rays go through pixel corners; with those, masks lose 4 % IoU to half a pixel.
+    Open3D's own pinhole rays go through pixel corners; that half pixel costs masks 4 % IoU.
     """
     grid = pixel_grid(height, width)
     return unproject(grid, np.ones((height, width)), K).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Visible masks: which object each pixel shows, decided by the ray to the mesh and the measured depth together."""
+"""Visible masks: the object that each pixel shows, from the ray to the mesh and the measured depth together."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class VisibleFrame:
     """One frame's masks.
 
     Args:
-        measured: False where an object was a candidate and no measurement had a say: the ray alone decided, or
-            what the pixels around measured, or what the scene looks like.
+        measured: False where an object was a candidate and nothing was measured: the ray alone decided, or
+            measurements around, or the colour.
         visible_fraction: share of each instance's own projection that is visible, in [0, 1]; NaN where it has none.
         n_pixels: pixels by how they were decided.
     """
@@ -36,12 +36,12 @@ class VisibleFrame:
 
 @dataclass(frozen=True)
 class MeasuredFrame:
-    """What a camera measured in one frame, and from where.
+    """A camera's measurement in one frame, and its pose.
 
     Args:
         depth: z-depth, metres, gaps inside surfaces closed; 0 means no measurement.
         directions_camera: `ray_directions` of the camera.
-        rgb: the image, to find what hides objects and gives no depth (`foreign`); needs a surface with colours.
+        rgb: the image, to find occluders without depth (`foreign`); needs a surface with colours.
     """
 
     depth: Float32[ndarray, "h w"]
@@ -60,8 +60,8 @@ def visible_instances(
 ) -> VisibleFrame:
     """The instance visible at each pixel.
 
-    The whole mesh is cast, so objects, table and walls hide each other. Only pixels near some object's projection
-    need a ray; all others are background.
+    Rays are cast at the whole mesh, so that objects, table and walls hide each other, but only for pixels near an
+    object's projection; all others are background.
 
     Args:
         tolerance: (a, b): measurement and mesh agree within a + b z metres.
@@ -106,7 +106,7 @@ def _visible_fraction(
     ray_label: UInt8[ndarray, "h w"],
     label: UInt8[ndarray, "h w"],
 ) -> Float32[ndarray, "k"]:
-    """Visible pixels of each instance over those it would have alone, by some of the rays around it."""
+    """Visible pixels of each instance over those of its amodal mask, estimated from a sample of the rays around it."""
     visible, hit = _n_of_label(label), _n_of_label(ray_label)
     fraction = np.full(surface.n_instances, np.nan, np.float32)
     for instance, (rows, columns) in enumerate(boxes, start=1):
@@ -158,16 +158,18 @@ def _see_through(
     region: Bool[ndarray, "h w"],
     tolerance: tuple[float, float],
 ) -> int:
-    """Where the measurement passed the first surface and lies on a later one, that one is seen; changes `rendered`,
-    and tells how many objects' pixels went to another label by that.
+    """Replace hits by a later surface where the measurement lies on that; changes `rendered`.
 
-    A fused mesh has flakes before thin walls and across concave edges. A measurement behind them proves them wrong.
+    A fused mesh has flakes in front of thin walls and across concave edges. A measurement behind disproves them.
+
+    Returns:
+        Pixels of objects whose label changed.
     """
     allowed = np.float32(tolerance[0]) + np.float32(tolerance[1]) * depth
     passed = np.flatnonzero(region & (depth > rendered.depth + allowed))
     if len(passed) == 0:
         return 0
-    # From both sides, because the table just behind an object that was taken away must win over the object's back.
+    # From both sides, because the table just behind an object that was removed must win over the object's back.
     here, reach, through = depth.reshape(-1)[passed], allowed.reshape(-1)[passed], rays.at(passed)
     nearest, label = np.full(len(here), np.inf, np.float32), np.zeros(len(here), np.uint8)
     for side in (-1, 1):
@@ -196,17 +198,17 @@ def _complete(
     region: Bool[ndarray, "h w"],
     tolerance: tuple[float, float],
 ) -> None:
-    """Give pixels at which the mesh has a hole to the object that may be solid there; changes `decision`.
+    """Assign pixels where the mesh has a hole to the object that may be solid there; changes `decision`.
 
-    A measurement before the mesh belongs to the object whose hull holds it; without one, the ray has to meet the
-    hull before the mesh.
+    A measurement in front of the mesh belongs to the object whose hull holds it; without measurement, the ray has to
+    meet the hull before the mesh.
     """
     measured, ray_label = depth > 0, rendered.instance.reshape(-1)
     silent = np.flatnonzero(region & ~measured & (rendered.instance == 0))
     odd = np.flatnonzero(region & measured & ~decision.agrees & (depth < rendered.depth))
     through = rays.at(odd)
     holder = completion.holds(through[:, :3] + through[:, 3:] * depth.reshape(-1)[odd][:, None])
-    # Before another object's surface it is no hole of this one.
+    # In front of another object's surface there is no hole of this one.
     holder[(ray_label[odd] > 0) & (ray_label[odd] != holder)] = 0
     decision.label.reshape(-1)[odd] = holder
     decision.in_front.reshape(-1)[odd] &= holder == 0
