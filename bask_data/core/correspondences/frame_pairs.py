@@ -1,4 +1,4 @@
-"""Which pairs of frames to match: those that see the same surface from really different places."""
+"""Pairs of frames to match: those that see the same surface from clearly different places."""
 
 from __future__ import annotations
 
@@ -11,13 +11,17 @@ from numpy import ndarray
 from bask_data.core.geometry import in_image, invert_rigid, project, transform, view_change
 
 SLANT = np.cos(np.deg2rad(75.0))
-"""Surface seen more obliquely than this is not counted as seen: a pixel there covers too much of it to be matched."""
+"""Cosine of the angle of incidence below which surface does not count as seen: there, a pixel covers too much of it to
+be matched. Chosen, sensitivity not measured."""
 MAX_CANDIDATES = 200_000
-"""Pairs looked at, at most; of the frames of a long scan that is a random sample."""
+"""Most pairs considered; for a long scan, a random sample. Chosen to bound time, sensitivity not measured."""
+# Edges of the classes over which pairs are spread; chosen, sensitivity not measured.
 ANGLE_BINS = np.deg2rad([15.0, 30.0, 60.0])
+"""View angle, radians."""
 SCALE_BINS = np.log2([0.71, 0.87, 1.15, 1.41])
+"""Change of scale, logarithm to base 2."""
 TURN_BINS = np.deg2rad([-90.0, -30.0, 30.0, 90.0])
-"""Edges of the classes over which pairs are spread: view angle, change of scale, turn about the viewing axis."""
+"""Rotation about the viewing axis, radians."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,7 @@ class FramePairs:
         frames: (a, b), numbers of frames.
         distance: metres between the camera centres.
         angle: radians between the camera orientations.
-        n_looked_at: pairs considered.
+        n_looked_at: number of pairs considered.
         n_too_similar: of those, pairs without enough change of view.
         n_too_little_overlap: of the others, pairs that share too little surface.
     """
@@ -49,7 +53,11 @@ def seen(
     height: int,
     width: int,
 ) -> Bool[ndarray, "t m"]:
-    """Points inside each image and facing its camera. Nothing is said of what may stand in between."""
+    """Points inside each image and facing its camera; occlusion is not considered.
+
+    Args:
+        points_world, normals_world: metres and unit vectors, world frame.
+    """
     result = np.zeros((len(world_from_cameras), len(points_world)), bool)
     for i_frame, world_from_camera in enumerate(world_from_cameras):
         uv, z = project(transform(invert_rigid(world_from_camera), points_world), K)
@@ -73,8 +81,9 @@ def choose_pairs(
 
     Args:
         is_seen: `points_world` that each frame shows.
-        min_distance, min_angle: metres, radians; a pair must exceed one of them.
-        min_overlap: share of the points seen by either frame that both see.
+        min_distance, min_angle: metres, radians; a pair must exceed one of them. The default distance assumes a
+            tabletop.
+        min_overlap: least share of the points seen by either frame that both see.
     """
     n_frames = len(world_from_cameras)
     a, b = candidates(n_frames, rng)
@@ -96,7 +105,7 @@ def choose_pairs(
 
 
 def candidates(n_frames: int, rng: np.random.Generator) -> tuple[Int[ndarray, "c"], Int[ndarray, "c"]]:
-    """Pairs of different frames, each once and in a random order of its two: all of them, or a sample."""
+    """Pairs of different frames, each once and its two in random order: all of them, or a sample."""
     if n_frames * (n_frames - 1) // 2 <= MAX_CANDIDATES:
         a, b = np.triu_indices(n_frames, k=1)
     else:
@@ -107,13 +116,13 @@ def candidates(n_frames: int, rng: np.random.Generator) -> tuple[Int[ndarray, "c
 
 
 def overlap(is_seen: Bool[ndarray, "t m"], a: Int[ndarray, "c"], b: Int[ndarray, "c"]) -> Float[ndarray, "c"]:
-    """Points both frames of each pair see, over those that either sees; 0 where neither sees any."""
+    """Points that both frames of each pair see, over those that either sees; 0 where neither sees any."""
     shared = np.empty(len(a))
     n_seen = is_seen.sum(axis=1)
-    # A pair costs as many bytes as there are points; in chunks, a long scan's pairs fit.
+    # A pair takes as many bytes as there are points; in chunks, the pairs of a long scan fit into memory.
     for start in range(0, len(a), 4096):
-        some = slice(start, start + 4096)
-        shared[some] = (is_seen[a[some]] & is_seen[b[some]]).sum(axis=1)
+        chunk = slice(start, start + 4096)
+        shared[chunk] = (is_seen[a[chunk]] & is_seen[b[chunk]]).sum(axis=1)
     return shared / np.maximum(n_seen[a] + n_seen[b] - shared, 1)
 
 
@@ -124,7 +133,7 @@ def view_class(
     a: Int[ndarray, "c"],
     b: Int[ndarray, "c"],
 ) -> Int[ndarray, "c"]:
-    """Class of each pair: of the angle between its views, its change of scale, its turn about the viewing axis."""
+    """Class of each pair by the angle between its views, its change of scale and its turn about the viewing axis."""
     centre = points_world.mean(axis=0) if len(points_world) else np.zeros(3)
     n_seen = np.maximum(is_seen.sum(axis=1, keepdims=True), 1)
     target = np.where(is_seen.any(axis=1, keepdims=True), is_seen.astype(np.float64) @ points_world / n_seen, centre)
@@ -148,9 +157,9 @@ def spread(
     n_pairs: int,
     rng: np.random.Generator,
 ) -> Int[ndarray, "p"]:
-    """Indices of pairs drawn from the groups in turn, in each the one whose frames were used least among a few drawn
-    at random; sorted by their frames, so that neighbours in the list read the same frames."""
-    waiting = [list(rng.permutation(np.flatnonzero(group == one))) for one in np.unique(group)]
+    """Indices of pairs drawn from the groups in turn: in each, the one of a few random pairs whose frames were used
+    least. Sorted by frames, so that neighbours in the list read the same frames."""
+    waiting = [list(rng.permutation(np.flatnonzero(group == label))) for label in np.unique(group)]
     n_used = np.zeros(n_frames, np.int64)
     chosen: list[int] = []
     while waiting and len(chosen) < n_pairs:

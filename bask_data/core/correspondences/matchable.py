@@ -1,4 +1,4 @@
-"""A frame made ready for matching: its best depth, and the pixels that can be trusted, by object."""
+"""A frame prepared for matching: its best depth, and the pixels that can be trusted, by object."""
 
 from __future__ import annotations
 
@@ -15,33 +15,38 @@ from bask_data.core.geometry import unproject
 from bask_data.core.visibility.surface import Surface
 
 GRAZING_ANGLE = np.deg2rad(75.0)
-"""More obliquely seen surface is not matched: what is off along its normal is four times as much off along the ray."""
+"""Angle of incidence, radians, above which surface is not matched: an error along its normal is four times as large
+along the ray. Chosen, sensitivity not measured."""
 
 GRAZING = np.cos(GRAZING_ANGLE)
+"""The same as a cosine."""
 
 STEEPEST = float(np.tan(GRAZING_ANGLE))
+"""Change of depth over lateral distance of a surface seen at that angle."""
 
 ON_SURFACE = 0.005
-"""Metres in front of a point in which a hit is still the surface the point is on."""
+"""Metres in front of a point within which a hit belongs to the point's own surface; assumes a tabletop. Chosen,
+sensitivity not measured."""
 
 EDGE_JUMP = 0.5
-"""A surface begins where depth jumps by more than this share of the tolerance, and the slope of one surface besides."""
+"""Share of the tolerance, beyond the slope of one surface, from which a change of depth is an edge. Chosen, sensitivity
+not measured."""
 
 N_INSTANCES = 256
-"""Values a label image can hold, 0 for background included."""
+"""Number of values of an 8-bit label image, background (0) included."""
 
 
 @dataclass(frozen=True)
 class MatchableView:
-    """One frame, ready to be matched; make it with `matchable_view`.
+    """One frame prepared for matching (`matchable_view`).
 
     Args:
         depth: best known z-depth, metres; 0 means unknown.
         instance: visible instance at each pixel, 0 none.
         sure: `instance` where it and the depth can be trusted, else 0.
-        pixels: flat indices of sure pixels, grouped: those of instance k are `pixels[first[k]:first[k + 1]]`.
+        pixels: flat indices of sure pixels by instance: those of k are `pixels[first[k]:first[k + 1]]`.
         margin: pixels that a match stays away from the edges of masks and of surfaces.
-        noise: standard deviation of a measured depth, as a share of the tolerance; 0 where it is not known.
+        noise: standard deviation of measured depth, as a share of the tolerance; 0 if unknown.
     """
 
     depth: Float32[ndarray, "h w"]
@@ -61,7 +66,8 @@ def cast_through(
     K: Float[ndarray, "3 3"],
     world_from_camera: Float[ndarray, "4 4"],
 ) -> tuple[Float32[ndarray, "n"], Float32[ndarray, "n"]]:
-    """z-depth of the first hit through each pixel, metres, infinity for none; and the cosine of its incidence."""
+    """z-depth of the first hit through each pixel, metres, infinity for none; and the cosine of its angle of
+    incidence."""
     directions = (unproject(uv, np.ones(len(uv)), K) @ world_from_camera[:3, :3].T).astype(np.float32)
     rays = np.empty((len(uv), 6), np.float32)
     rays[:, :3], rays[:, 3:] = world_from_camera[:3, 3], directions
@@ -91,17 +97,17 @@ def matchable_view(
     margin: int = 2,
     distrusted: Bool[ndarray, "h w"] | None = None,
 ) -> MatchableView:
-    """A frame with the best depth there is and its pixels sorted by instance.
+    """A frame with the best depth available, its pixels grouped by instance.
 
     Args:
         measured: z-depth, metres; 0 means no measurement.
         surface: the fused surface of the scene.
         tolerance: (a, b): a measurement confirms the surface at depth z within a + b z metres.
-        margin: pixels to stay away from the edge of a mask: there it is a matter of chance which surface a pixel shows.
-        distrusted: pixels that are not matched, such as those whose measurement was thrown away as no surface's.
+        margin: pixels to stay away from the edge of a mask, where it is chance which surface a pixel shows.
+        distrusted: pixels that are not matched, such as flying pixels.
 
     Raises:
-        ValueError: sizes of depth and masks differ, or `margin` or a tolerance is negative.
+        ValueError: `measured` and `instance` differ in size, or `margin` or a tolerance is negative.
     """
     if measured.shape != instance.shape:
         raise ValueError(f"measured and instance must have one size, got {measured.shape} and {instance.shape}")
@@ -126,22 +132,22 @@ def matchable_view(
 
 
 @njit(inline="always")
-def _is_jump(one, other, steepest):  # type: ignore[no-untyped-def]
-    """Whether two neighbouring pixels show two surfaces; what has no depth says nothing."""
-    return one > 0 and other > 0 and abs(one - other) > steepest[0] + steepest[1] * min(one, other)
+def _is_jump(z, z_next, steepest):  # type: ignore[no-untyped-def]
+    """Whether two neighbouring pixels show two surfaces; False where either has no depth."""
+    return z > 0 and z_next > 0 and abs(z - z_next) > steepest[0] + steepest[1] * min(z, z_next)
 
 
 @compiled
 def inside(  # type: ignore[no-untyped-def]
     instance, sure, depth, margin, steepest
 ):
-    """Labels whose pixels around, `margin` far, are all the same and of one surface, that are sure, and have depth,
-    else 0 (h, w); beyond the image's border all are the same. And the flat indices of these pixels, grouped by label,
+    """Labels of pixels that are sure, have depth, and whose neighbours within `margin` have the same label and lie on
+    one surface, else 0 (h, w); the image's border is no edge. Also the flat indices of these pixels, grouped by label,
     and where each label begins (257,).
 
-    One pass over the image: a window of one label is as many rows of it below each other as the window is high, and in
-    each the label's run must be as long as the window is wide. A step in depth ends a run, along a row and along the
-    middle column: no edge crosses a window without crossing one of these.
+    One pass over the image: a window has one label where in each of its rows a run of that label spans its width. A
+    jump in depth ends a run, along each row and along the middle column: no edge crosses a window without crossing one
+    of these.
 
     Args:
         steepest: (a, b): from a pixel to the next, depth z of one surface changes by at most a + b z metres.

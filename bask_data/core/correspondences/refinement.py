@@ -10,29 +10,36 @@ from numpy import ndarray
 from bask_data.core.depth import SIGMA_FROM_MAD
 
 SIGNIFICANT = 2.5
-"""The surface is corrected where the measurements around differ from it by so many standard errors of their mean."""
+"""Standard errors of the mean by which the measurements around must differ from the surface to correct it.
+Chosen; its sensitivity is in docs/benchmarks.md."""
 
 MIN_MEASUREMENTS = 3
-"""Measurements in the window of 25 pixels; the spread of fewer says nothing. Sensitivity not measured."""
+"""Fewest measurements in the window of 25 pixels to estimate noise from. Chosen, sensitivity not measured."""
 
 TINY = np.float32(1e-12)
+"""Square metres; keeps a variance from being zero."""
 
 
 def refined(
     measured: Float32[ndarray, "h w"], rendered: Float32[ndarray, "h w"], tolerance: tuple[float, float]
 ) -> tuple[Float32[ndarray, "h w"], Bool[ndarray, "h w"], float]:
-    """The best depth of each pixel, metres, 0 unknown; the pixels where measurement and surface contradict, or none is
-    measured near; and the standard deviation of measurements, as a share of the tolerance, 0 where there are too few.
+    """The best depth of each pixel, from measurement and surface.
 
-    The rendered depth, moved by the mean difference of the measurements around (5 x 5) where that is significant
-    against the noise of the frame, and by as much of the pixel's own difference from that mean as its surroundings
-    differ more than noise explains: little where the sensor is noisy, all where it is exact. Where the two contradict,
-    and where nothing was rendered, the measured one.
+    It is the rendered depth plus the mean difference of the measurements around (5 x 5) where that is significant, plus
+    a share of the pixel's own difference from that mean: the share of the local variance that noise does not explain,
+    little on a noisy sensor and all on an exact one. Where the two contradict, and where nothing was rendered, it is
+    the measured depth.
 
     Args:
+        measured: z-depth, metres; 0 means no measurement.
         rendered: z-depth of the fused surface, metres; 0 where there is none or it was not asked for.
+        tolerance: (a, b): the two contradict where they differ by more than a + b z metres.
 
-    Source of the second step: Lee 1980, digital image enhancement and noise filtering by use of local statistics.
+    Returns:
+        The depth, metres, 0 unknown; the pixels where measurement and surface contradict, or nothing is measured
+        nearby; and the standard deviation of measurements as a share of the tolerance, 0 if there are too few.
+
+    Source of the pixel's own share: Lee 1980, Digital image enhancement and noise filtering by use of local statistics.
     """
     both = (measured > 0) & (rendered > 0)
     difference = np.where(both, measured - rendered, np.float32(0))
@@ -42,8 +49,8 @@ def refined(
     count = np.maximum(_sum_around(confirms.astype(np.float32)), np.float32(1))
     mean = _sum_around(difference) / count
     several = confirms & (count >= MIN_MEASUREMENTS)
-    # The spread about the local mean is noise; that of the mean itself may be a surface that is off. Of n values a mean
-    # leaves only n - 1 free to spread. Noise grows with depth as the tolerance does.
+    # Deviations from the local mean are noise, whereas the mean itself may be an error of the surface. With n
+    # measurements they have n - 1 degrees of freedom. Noise grows with depth as the tolerance does.
     spread = (np.abs(difference - mean) * np.sqrt(count / np.maximum(count - 1, 1)) / allowed)[several]
     share = SIGMA_FROM_MAD * float(np.median(spread)) if len(spread) else 0.0
     noise = np.float32(share) * allowed
@@ -53,7 +60,7 @@ def refined(
     own = np.where(several, np.maximum(1 - SIGNIFICANT * noise**2 / np.maximum(variance, TINY), 0), np.float32(0))
     best = best + own * (measured - best)
     contradicted = both & ~confirms
-    # What hands and grippers that give no depth hide is not known; a gap in the depth of a surface has it around.
+    # A hand or gripper without depth hides the surface; a mere gap in the depth of a surface has measurements around.
     supported = (count >= MIN_MEASUREMENTS) & (count > _sum_around(contradicted.astype(np.float32)))
     unsupported = (measured <= 0) & (rendered > 0) & ~supported
     return np.where((rendered > 0) & ~contradicted, best, measured), contradicted | unsupported, share

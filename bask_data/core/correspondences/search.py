@@ -1,4 +1,4 @@
-"""Random matches between two views, each tested for every way in which it may be wrong."""
+"""Random matches between two views, each tested for every known kind of error."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ REJECTIONS = (
     "cycle",
     "edge_in_b",
 )
-"""Reasons in the order they are tested; a pixel that was tried counts for the first it fails."""
+"""Reasons in the order of the tests; a pixel that was tried counts for the first test it fails."""
 
 (
     _OUTSIDE_B,
@@ -37,19 +37,19 @@ REJECTIONS = (
 ) = range(len(REJECTIONS))
 
 _MATCH = -1
-"""Stands for no rejection, beside the positions in `REJECTIONS`."""
+"""No rejection; the others are positions in `REJECTIONS`."""
 
 MOST_REACH = 6
-"""Pixels around a match in which, besides the margin, something in front is looked for at most."""
+"""Most pixels, beyond the margin, within which an occluder excludes a match. Chosen, sensitivity not measured."""
 
 
 @dataclass(frozen=True)
 class Matches:
-    """Matches of one pair of views, the same index for the same match, grouped by instance.
+    """Matches of one pair of views, grouped by instance.
 
     Args:
         tried: the instances that both views show.
-        rejections: how many pixels of each of these failed each of `REJECTIONS`.
+        rejections: number of pixels of each of these that failed each of `REJECTIONS`.
     """
 
     instance: UInt8[ndarray, "m"]
@@ -64,7 +64,7 @@ class Matches:
 
 
 def shares(available: Int[ndarray, "k"], total: int) -> Int[ndarray, "k"]:
-    """How many to take of each so that together they are `total`, or all there is, and as equal as can be."""
+    """Numbers to take of each, as equal as possible, that add up to `total`, or to all that are available."""
     taken = np.zeros_like(available)
     left = total
     for done, i in enumerate(np.argsort(available, kind="stable")):
@@ -84,13 +84,13 @@ def match(
 ) -> Matches:
     """Random matches from `a` to `b`, balanced over the instances: the one with the fewest matches is always next.
 
-    A pixel of `a` is lifted by its depth and projected into `b`. It stands if it lands in the image, the depth there
-    agrees, the same instance is seen, the way back by the depth of `b` ends within `max_cycle` pixels, and neither end
-    is at the edge of a surface.
+    A pixel of `a` is lifted by its depth and projected into `b`. It is a match if it lies in the image, the depth there
+    agrees, the same instance is seen, projecting back by the depth of `b` ends within `max_cycle` pixels, and neither
+    pixel is at the edge of a surface.
 
     Args:
-        n_attempts: pixels of `a` tried at most, shared out evenly over the instances.
-        n_matches: when there are so many, no more pixels are tried.
+        n_attempts: most pixels of `a` to try, divided evenly over the instances.
+        n_matches: number of matches after which the search ends.
         tolerance: (a, b): depths z agree within a + b z metres.
 
     Raises:
@@ -130,7 +130,7 @@ def match(
 def _search(  # type: ignore[no-untyped-def]
     a, b, instance_b, sure_b, b_from_a, a_from_b, pixels, first, shared, quota, draws, n_matches, tolerance, max_cycle
 ):
-    """Matches as found: labels (m,), (u, v, u, v) (m, 4), and rejections (k, reasons).
+    """Matches in the order found: labels (m,), (u_a, v_a, u_b, v_b) (m, 4), and rejections (k, reasons).
 
     Args:
         a, b: depth and intrinsics of the two views, the noise of a, and the margin of b.
@@ -142,7 +142,7 @@ def _search(  # type: ignore[no-untyped-def]
     n_passed, n_tried = np.zeros(n_instances, np.int64), np.zeros(n_instances, np.int64)
     most = min(n_matches, len(draws))
     labels, found = np.empty(most, np.uint8), np.empty((most, 4), np.float32)
-    # Shuffled as far as it is used, in a copy: so each draw is of the pixels that were not tried yet.
+    # A copy, shuffled as far as it is used: each draw is then from the pixels that were not tried yet.
     waiting = [pixels[first[k] : first[k + 1]].copy() for k in shared]
     width = a[0].shape[1]
     n_found = 0
@@ -175,7 +175,7 @@ def _search(  # type: ignore[no-untyped-def]
 def _follow(  # type: ignore[no-untyped-def]
     u, v, label, a, b, instance_b, sure_b, b_from_a, a_from_b, tolerance, max_cycle
 ):
-    """The first test that a pixel of `a` fails, or `_MATCH`, and where it is in `b`."""
+    """The first test that a pixel of `a` fails, or `_MATCH`, and its position in `b`."""
     depth_a, K_a, noise_a = a
     depth_b, K_b, margin_b = b
     height, width = depth_b.shape
@@ -187,7 +187,7 @@ def _follow(  # type: ignore[no-untyped-def]
     z_b, nearest = depth_between(depth_b, u_b, v_b, tolerance)
     if z_b <= 0:
         return _NO_DEPTH_IN_B, u_b, v_b
-    # The nearest of the four, not the one between: at the edge of something in front, the point may be behind it.
+    # The nearest of the four, not the interpolated one: at the edge of an occluder, the point may be behind it.
     if nearest < z - allowed:
         return _HIDDEN_IN_B, u_b, v_b
     if abs(z_b - z) > allowed:
@@ -198,7 +198,8 @@ def _follow(  # type: ignore[no-untyped-def]
     u_back, v_back, z_back = _carried(u_b, v_b, z_b, K_b, a_from_b, K_a)
     if not (z_back > 0 and (u_back - u) ** 2 + (v_back - v) ** 2 <= max_cycle**2):
         return _CYCLE, u_b, v_b
-    # Were the depth in a two standard deviations off, the point would be elsewhere, and what is there must not hide it.
+    # With an error of two standard deviations in the depth of a, the point would be elsewhere; it must not be hidden
+    # there, either.
     off = 2 * noise_a * (tolerance[0] + tolerance[1] * z_a)
     u_off, v_off, _ = _carried(float(u), float(v), z_a + off, K_a, b_from_a, K_b)
     reach = margin_b + min(int(np.sqrt((u_off - u_b) ** 2 + (v_off - v_b) ** 2) + 0.5), MOST_REACH)
@@ -209,7 +210,7 @@ def _follow(  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _carried(u, v, z, K_from, to_from, K_to):  # type: ignore[no-untyped-def]
-    """Pixel and depth in another camera of what one camera shows at depth z."""
+    """Pixel and depth, in another camera, of the point that one camera shows at depth z."""
     y = (v - K_from[1, 2]) / K_from[1, 1]
     x = (u - K_from[0, 2] - K_from[0, 1] * y) / K_from[0, 0]
     x, y = x * z, y * z
@@ -226,8 +227,8 @@ def _carried(u, v, z, K_from, to_from, K_to):  # type: ignore[no-untyped-def]
 def depth_between(depth, u, v, tolerance):  # type: ignore[no-untyped-def]
     """Depth between pixels, metres, and the nearest of the four depths around; 0 where none is known.
 
-    Interpolated where the four pixels around agree; else that of the closest pixel that has one, because a
-    mean of foreground and background is the depth of neither.
+    Interpolated where the four agree; else the depth of the closest pixel that has one, because a mean of foreground
+    and background is the depth of neither.
 
     Args:
         u, v: inside the image.
@@ -259,7 +260,7 @@ def depth_between(depth, u, v, tolerance):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _is_crowded(depth, u, v, z, focal, reach, tolerance):  # type: ignore[no-untyped-def]
-    """Whether within `reach` pixels some surface is nearer than the slope of one surface explains."""
+    """Whether some surface within `reach` pixels is nearer than the slope of one surface explains."""
     height, width = depth.shape
     allowed = EDGE_JUMP * (tolerance[0] + tolerance[1] * z)
     nearest = np.float32(z - allowed)
@@ -267,7 +268,7 @@ def _is_crowded(depth, u, v, z, focal, reach, tolerance):  # type: ignore[no-unt
     for row in range(max(v - reach, 0), min(v + reach + 1, height)):
         around = depth[row]
         for column in range(max(u - reach, 0), min(u + reach + 1, width)):
-            # Most pixels pass here, at one comparison of the smaller type each.
+            # Most pixels end here, after one comparison in single precision.
             if 0 < around[column] < nearest:
                 slope = per_pixel * np.sqrt((row - v) ** 2 + (column - u) ** 2)
                 if around[column] < z - allowed - slope:
