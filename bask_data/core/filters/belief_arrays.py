@@ -1,4 +1,4 @@
-"""A filter's belief as named arrays, and back: what a file can hold without any code in it."""
+"""A filter's belief as named arrays, and back: a form that a file can store without any code in it."""
 
 from __future__ import annotations
 
@@ -13,41 +13,41 @@ from numpy import ndarray
 from bask_data.core.filters.table import FilterSettings, filter_of
 
 _LENGTH = "n"
-"""Entry of a tuple that says how long it is: what is None in it has no entries."""
+"""Entry with the length of a tuple, because elements that are None have no entries."""
 
 
 def to_arrays(belief: Any) -> dict[str, ndarray]:
-    """Everything in a belief, by its place in it; nothing of None."""
+    """All arrays of a belief by their path in it, without those that are None."""
     return {} if belief is None else dict(_entries(belief, "belief"))
 
 
 def from_arrays(arrays: Mapping[str, ndarray], settings: FilterSettings) -> Any:
-    """The belief of a filter with these settings that `to_arrays` gave `arrays` for."""
+    """The belief that `to_arrays` converted, of a filter with these settings."""
     return _built(filter_of(settings).belief | None, "belief", arrays)
 
 
-def _entries(value: Any, place: str) -> Iterator[tuple[str, ndarray]]:
+def _entries(value: Any, path: str) -> Iterator[tuple[str, ndarray]]:
     if is_dataclass(value):
         for field in fields(value):
-            yield from _entries(getattr(value, field.name), f"{place}.{field.name}")
+            yield from _entries(getattr(value, field.name), f"{path}.{field.name}")
     elif isinstance(value, tuple):
-        yield f"{place}.{_LENGTH}", np.array(len(value))
-        for i, one in enumerate(value):
-            yield from _entries(one, f"{place}.{i}")
+        yield f"{path}.{_LENGTH}", np.array(len(value))
+        for i, element in enumerate(value):
+            yield from _entries(element, f"{path}.{i}")
     elif value is not None:
-        yield place, np.asarray(value)
+        yield path, np.asarray(value)
 
 
-def _built(kind: Any, place: str, arrays: Mapping[str, ndarray]) -> Any:
+def _built(kind: Any, path: str, arrays: Mapping[str, ndarray]) -> Any:
     if isinstance(kind, types.UnionType):
-        (of,) = (one for one in get_args(kind) if one is not types.NoneType)
-        there = any(name == place or name.startswith(f"{place}.") for name in arrays)
-        return _built(of, place, arrays) if there else None
+        (of,) = (member for member in get_args(kind) if member is not types.NoneType)
+        is_present = any(name == path or name.startswith(f"{path}.") for name in arrays)
+        return _built(of, path, arrays) if is_present else None
     if is_dataclass(kind):
         hints = get_type_hints(kind)
-        # A type checker takes a dataclass for an instance of one here.
-        return kind(**{one.name: _built(hints[one.name], f"{place}.{one.name}", arrays) for one in fields(kind)})  # type: ignore[operator]
+        # A type checker takes the dataclass for an instance here.
+        return kind(**{field.name: _built(hints[field.name], f"{path}.{field.name}", arrays) for field in fields(kind)})  # type: ignore[operator]
     if get_origin(kind) is tuple:
         of = get_args(kind)[0]
-        return tuple(_built(of, f"{place}.{i}", arrays) for i in range(int(arrays[f"{place}.{_LENGTH}"].item())))
-    return arrays[place]
+        return tuple(_built(of, f"{path}.{i}", arrays) for i in range(int(arrays[f"{path}.{_LENGTH}"].item())))
+    return arrays[path]

@@ -1,8 +1,8 @@
 """The discrete Bayes filter: for each camera, a belief over its pixels and one more state, *outside of the image*.
 
-The belief is carried from the previous pixel space into the present one through depth and camera motion, a part of it
-with the gripper, spread by a random walk, and multiplied by the correspondence likelihood. Every step is linear in the
-belief and keeps its mass: what leaves the image is outside, and comes back where the camera uncovers something it did
+The belief is warped from the previous image into the current one by depth and camera motion, a part of it by the
+gripper's motion, spread by a random walk, and multiplied by the observation likelihood. Every step is linear in the
+belief and keeps its mass: mass that leaves the image is outside, and returns where the camera uncovers something it did
 not see before.
 """
 
@@ -25,44 +25,46 @@ from bask_data.core.geometry import in_image, invert_rigid, pixel_grid, project,
 from bask_data.core.nearest_depth import fill_depth, shrink_depth
 
 LEAST_EVIDENCE = 1e-300
-"""Likelihood below which an image says nothing of a keypoint."""
+"""Evidence below which an image is ignored: what is left has lost its digits."""
 
 ASSUMED_DEPTH = 1e6
-"""Depth, metres, put in for an image that has none at all: the camera's rotation still carries its pixels."""
+"""Depth, metres, assumed in an image without any: the camera's rotation still moves its pixels."""
 
 
 @dataclass(frozen=True)
 class DiscreteSettings(FilterSettings):
-    """Settings of the discrete filter. The paper's has `tau`, `restart` and `gripper_probability` zero."""
+    """Settings of the discrete filter. In the paper's, `tau`, `restart` and `gripper_probability` are zero."""
 
     alpha: float = 4.0
-    """Temperature: a pixel at distance z has likelihood exp(-alpha z)."""
+    """Temperature: a pixel at descriptor distance z has likelihood exp(-alpha z). The paper's."""
     walk_px: float = 1.0
     """Standard deviation of the random walk in one frame, pixels of the distance map. The authors' is 2."""
     grid: tuple[int, int] | None = None
-    """Rows and columns of the belief, whatever the distance map has; None: as many as that."""
+    """Rows and columns of the belief; None: those of the distance map."""
     tau: float | None = None
-    """Likelihood of any image if the keypoint is outside of it; None: `unseen_likelihood` says it of each image."""
+    """Likelihood of any image if the keypoint is outside of it; None: `unseen_likelihood` of each image."""
     tau_ratio: float = 2.0
-    """Without `tau`: how much likelier the keypoint is outside than at the average pixel."""
+    """Without `tau`: likelihood of an image if the keypoint is outside, over that at its average pixel."""
     outside_area: float = 1.0
-    """Size of the world around the image that a keypoint may hide in, in images: the larger, the less comes back as the
-    view moves on."""
+    """Area around the image that a keypoint may be in, in images: the larger, the less mass returns as the view moves.
+    Chosen, sensitivity not measured."""
     restart: float = 0.03
-    """Share of the belief that starts anew, anywhere in the image, with each frame: a wrong one can be left again. With
-    it, 100 % of returning keypoints are found within five frames instead of 88 % (perfect descriptors, simulated)."""
+    """Share of the belief that is redistributed over the image in each frame, so that the filter can recover. With it,
+    100 % of returning keypoints are found within five frames instead of 88 % (perfect descriptors, simulated)."""
     gripper_probability: float = 0.35
-    """Share of the belief near the gripper that takes part in the gripper's motion, in each frame. Chosen on the
-    simulated `lid` and `rubbish`, where 0.2 is within 1 mm of it; zero costs 18 to 33 mm on what moves."""
+    """Share of the belief near the gripper that moves with it, in each frame. Chosen on the simulated `lid` and
+    `rubbish`, where the error with 0.2 is within 1 mm; zero costs 18 to 33 mm on moving keypoints."""
     gripper_reach: float = 0.15
-    """Metres around the gripper's frame within which it does: a hand's breadth, and the object in it."""
+    """Metres around the gripper's frame that count as near: a hand's breadth and the object in it. Assumes a tabletop.
+    Chosen, sensitivity not measured."""
 
 
 @dataclass(frozen=True)
 class CameraBelief:
-    """Belief in one camera's pixel space, and the view it belongs to. `inside` and `outside` sum to one.
+    """Belief over one camera's pixels, and the view it belongs to. `inside` and `outside` sum to one.
 
     Attributes:
+        depth: z-depth, metres, of each cell; 0 means no measurement.
         cell: width and height of a cell, pixels of the distance map.
         world_from_gripper: when that view was taken, if the camera has given no frame since; else None.
     """
@@ -78,10 +80,8 @@ class CameraBelief:
 
 @dataclass(frozen=True)
 class DiscreteBelief:
-    """One belief per camera, and the last estimate, which holds while a keypoint is outside of all cameras.
-
-    A camera that has not given any frame yet has None.
-    """
+    """One belief per camera, None before its first frame, and the last estimate, which is kept while a keypoint is
+    outside of all images."""
 
     cameras: tuple[CameraBelief | None, ...]
     estimate: Estimate
@@ -96,28 +96,28 @@ def discrete_step(
 ) -> tuple[DiscreteBelief, Estimate]:
     """Belief and estimate after one more frame. Without a belief, the prior is uniform over the pixels.
 
-    Cameras are filtered one by one and their estimates fused. A keypoint more likely outside of an image than inside is
-    not estimated from that camera; outside of all of them, it keeps its last estimate. A camera without a frame keeps
-    its last view, in which only time passes: depth there is what was measured, and nothing can be carried over it. The
-    gripper's motion since then counts when the next frame comes. `rng` is unused.
+    Cameras are filtered separately and their estimates fused. A keypoint that is more likely outside of an image than
+    inside is not estimated from that camera; outside of all of them, it keeps its last estimate. A camera without a
+    frame keeps its last view, and its belief only spreads; the gripper's motion since then is applied with the next
+    frame. `rng` is unused.
 
     Source: von Hartz et al. 2023, Sec. III-B.
     """
     known = belief.cameras if belief else ()
     before = (*known, *[None] * (len(observations) - len(known)))  # Cameras may join.
-    filtered = [_camera_step(one, seen, motion, settings) for one, seen in zip(before, observations, strict=True)]
+    filtered = [_camera_step(last, seen, motion, settings) for last, seen in zip(before, observations, strict=True)]
     k = len(belief.estimate.mean) if belief else n_keypoints(observations)
     now = fuse([lifted for _, lifted in filtered], k)
     given = np.array([seen is not None for seen in observations])
     now = replace(now, pixel=np.where(given[:, None, None], now.pixel, np.nan), observed=now.observed & given[:, None])
     estimate = keep_last(now, belief.estimate if belief else None, observations)
-    return DiscreteBelief(tuple(one for one, _ in filtered), estimate), estimate
+    return DiscreteBelief(tuple(camera for camera, _ in filtered), estimate), estimate
 
 
 def _camera_step(
     before: CameraBelief | None, seen: Observation | None, motion: Motion | None, settings: DiscreteSettings
 ) -> tuple[CameraBelief | None, Lifted | None]:
-    """One camera's belief, and what it says of the keypoints in 3D."""
+    """One camera's belief after a frame, and its estimate in 3D; None before its first frame."""
     since = motion_since(before.world_from_gripper if before else None, motion)
     if seen is None:
         if before is None:
@@ -139,33 +139,39 @@ def _camera_step(
 
 
 def motion_since(world_from_gripper: Float[ndarray, "4 4"] | None, motion: Motion | None) -> Motion | None:
-    """The gripper's motion since a camera's view was taken: from where its belief has it, or else the last one."""
+    """The gripper's motion since a camera's view was taken.
+
+    Args:
+        world_from_gripper: at that view; None if it was the last frame.
+        motion: in the last frame.
+    """
     if motion is None or world_from_gripper is None:
         return motion
     return replace(motion, world_from_gripper_before=world_from_gripper)
 
 
 def _lifted(belief: CameraBelief, log_evidence: Float[ndarray, "k"], image: tuple[int, ...]) -> Lifted:
-    """A camera's belief in 3D, pixels as in an image of that size; NaN for a keypoint that is rather outside."""
+    """A camera's belief in 3D, with pixels of an image of the given (height, width); NaN for a keypoint that is more
+    likely outside."""
     inside = belief.inside.sum(axis=(1, 2))
     is_empty = (inside <= 0)[:, None, None]
     heat = np.where(is_empty, 1.0, belief.inside) / np.where(is_empty, belief.depth.size, inside[:, None, None])
-    one = lift(heat, Observation(heat, belief.depth, belief.K, belief.world_from_camera), log_evidence)
-    gone = (belief.outside > 0.5)[:, None]
+    lifted = lift(heat, Observation(heat, belief.depth, belief.K, belief.world_from_camera), log_evidence)
+    is_outside = (belief.outside > 0.5)[:, None]
     return replace(
-        one,
-        mean=np.where(gone, np.nan, one.mean),
-        mode=np.where(gone, np.nan, one.mode),
-        pixel=_pixels_of_image(one.pixel, belief.depth.shape, image),
+        lifted,
+        mean=np.where(is_outside, np.nan, lifted.mean),
+        mode=np.where(is_outside, np.nan, lifted.mode),
+        pixel=_pixels_of_image(lifted.pixel, belief.depth.shape, image),
     )
 
 
 def predict(
     belief: CameraBelief, seen: Observation, settings: DiscreteSettings, motion: Motion | None = None
 ) -> CameraBelief:
-    """The belief before `seen` is looked at: carried into its pixel space, and spread.
+    """The belief before the observation: warped into its pixels, and spread.
 
-    Source: von Hartz et al. 2023, Sec. III-B.3; the gripper's part in it Eq. 4.
+    Source: von Hartz et al. 2023, Sec. III-B.3; the gripper's part is Eq. 4.
     """
     k, height, width = belief.inside.shape
     inside, outside = belief.inside, belief.outside
@@ -180,7 +186,7 @@ def predict(
         before = inside.sum(axis=(1, 2))
         u, v = (settings.walk_px / belief.cell).tolist()
         inside = np.stack(
-            [cv2.GaussianBlur(one, (0, 0), u, sigmaY=v, borderType=cv2.BORDER_CONSTANT) for one in inside]
+            [cv2.GaussianBlur(cells, (0, 0), u, sigmaY=v, borderType=cv2.BORDER_CONSTANT) for cells in inside]
         )
         outside = outside + np.maximum(before - inside.sum(axis=(1, 2)), 0.0)
     inside = (1 - settings.restart) * inside + settings.restart / (height * width)
@@ -189,7 +195,7 @@ def predict(
 
 
 def _moves(belief: CameraBelief, seen: Observation, motion: Motion | None, settings: DiscreteSettings) -> bool:
-    """Whether camera or gripper do."""
+    """Whether the camera moved, or a gripper that the filter follows."""
     camera_rests = np.array_equal(belief.world_from_camera, seen.world_from_camera) and np.array_equal(belief.K, seen.K)
     if motion is None or settings.gripper_probability == 0:
         return not camera_rests
@@ -203,10 +209,10 @@ def carry(
     motion: Motion | None = None,
 ) -> csr_array:
     """The matrix (cells now, cells before) that moves mass with the camera, and a part of that near the gripper with
-    the gripper; columns of cells that leave sum to less than one.
+    the gripper; columns of cells that leave the image sum to less than one.
 
-    A cell's mass goes to the four cells around the place its centre moves to, so that slow motions, too, add up over
-    frames. A cell without depth borrows that of the nearest cell that has some.
+    A cell's mass is divided over the four cells around the position that its centre moves to, so that slow motions add
+    up over frames. A cell without depth takes that of the nearest cell with a measurement.
     """
     height, width = belief.depth.shape
     depth = np.nan_to_num(fill_depth(belief.depth), nan=ASSUMED_DEPTH).astype(np.float64)
@@ -226,7 +232,7 @@ def carry(
 def _to_cells(
     points_world: Float[ndarray, "n 3"], share: Float[ndarray, "n"], seen: Observation, size: tuple[int, int]
 ) -> csr_array:
-    """The matrix that brings this share of each cell's mass to the four cells around the place of its point."""
+    """The matrix that moves the given share of each cell's mass to the four cells around its point's image."""
     height, width = size
     uv = project(transform(invert_rigid(seen.world_from_camera), points_world), seen.K)[0]
     uv = np.round(uv, 9)  # so that a camera that moves by whole pixels does not blur
@@ -246,7 +252,7 @@ def _to_cells(
 
 
 def _uncovered(belief: CameraBelief, seen: Observation) -> Bool[ndarray, "h w"]:
-    """Cells that show what the view before did not reach."""
+    """Cells that show points outside of the previous view."""
     height, width = seen.depth.shape
     depth = np.nan_to_num(fill_depth(seen.depth), nan=ASSUMED_DEPTH).astype(np.float64)
     before_from_now = invert_rigid(belief.world_from_camera) @ seen.world_from_camera
@@ -257,19 +263,19 @@ def _uncovered(belief: CameraBelief, seen: Observation) -> Bool[ndarray, "h w"]:
 def update(
     prior: CameraBelief, likelihood: Float[ndarray, "k h w"], tau: Float[ndarray, "k"]
 ) -> tuple[CameraBelief, Float[ndarray, "k"]]:
-    """Belief after a measurement, and the log of that measurement's likelihood.
+    """Belief after an observation, and the log evidence.
 
-    The likelihood exp(-alpha z) is not normalised over the image as in the paper, where it cannot matter: here it is
-    weighed against the state outside.
+    The likelihood exp(-alpha z) is not normalised over the image as in the paper, where the factor cancels: here it is
+    compared with `tau`, the likelihood of the state outside.
 
     Source: von Hartz et al. 2023, Sec. III-B.4.
     """
     inside, outside = prior.inside * likelihood, prior.outside * tau
     evidence = np.maximum(inside.sum(axis=(1, 2)) + outside, LEAST_EVIDENCE)
-    # Where all is as good as impossible, the image tells nothing: what is left has lost its digits.
-    told = evidence > LEAST_EVIDENCE
-    inside = np.where(told[:, None, None], inside / evidence[:, None, None], prior.inside)
-    return replace(prior, inside=inside, outside=np.where(told, outside / evidence, prior.outside)), np.log(evidence)
+    is_informative = evidence > LEAST_EVIDENCE
+    inside = np.where(is_informative[:, None, None], inside / evidence[:, None, None], prior.inside)
+    outside = np.where(is_informative, outside / evidence, prior.outside)
+    return replace(prior, inside=inside, outside=outside), np.log(evidence)
 
 
 def _uniform(seen: Observation, shape: tuple[int, ...]) -> CameraBelief:
@@ -286,7 +292,7 @@ def _on_grid(seen: Observation, settings: DiscreteSettings) -> tuple[Observation
         height, width = settings.grid
         shrinks = height <= likelihood.shape[1] and width <= likelihood.shape[2]
         how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-        likelihood = np.stack([cv2.resize(one, (width, height), interpolation=how) for one in likelihood])
+        likelihood = np.stack([cv2.resize(image, (width, height), interpolation=how) for image in likelihood])
     size, grid = seen.depth.shape, likelihood.shape[1:]
     if size != grid:
         seen = replace(seen, depth=shrink_depth(seen.depth, grid), K=scale_intrinsics(seen.K, size, grid))
@@ -303,9 +309,9 @@ def _pixels_of_image(
 def pixel_beliefs(
     belief: DiscreteBelief | None, observations: Sequence[Observation | None], settings: DiscreteSettings
 ) -> PixelMaps:
-    """The part of the belief that is inside of each camera's image."""
+    """The part of the belief inside each camera's image."""
     cameras = belief.cameras if belief else ()
-    return PixelMaps(tuple(None if one is None else one.inside for one in cameras))
+    return PixelMaps(tuple(None if camera is None else camera.inside for camera in cameras))
 
 
 _PAPER = {"alpha": 4.0, "walk_px": 2.0, "tau": 0.0, "restart": 0.0, "gripper_probability": 0.0}

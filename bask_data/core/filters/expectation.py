@@ -17,8 +17,8 @@ class ExpectationSettings(FilterSettings):
     """Settings of the estimate from single frames. The paper's alpha is 4."""
 
     alpha: float = 20.0
-    """Temperature: a pixel at distance z has weight exp(-alpha z). At less, the many pixels of background outweigh the
-    match."""
+    """Temperature: a pixel at descriptor distance z has weight exp(-alpha z). With a lower one, the many pixels of
+    background outweigh the match."""
 
 
 def expectation_step(
@@ -30,8 +30,8 @@ def expectation_step(
 ) -> tuple[Estimate, Estimate]:
     """The expectation of each heat map, lifted to 3D and fused over the cameras.
 
-    Frames are taken one by one; the last estimate matters only where no camera has depth, and is kept there. `motion`
-    and `rng` are unused: they are here so that every filter is called alike.
+    Each frame by itself; the last estimate is kept only where no camera has depth. `motion` and `rng` are unused: every
+    filter has the same signature.
 
     Source: von Hartz et al. 2023, Sec. III-A.3.
     """

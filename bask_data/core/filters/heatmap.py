@@ -1,5 +1,4 @@
-"""Heat maps: a probability over the pixels of a camera, one per keypoint, and their lifting to 3D through the measured
-depth."""
+"""Heat maps, a probability over the pixels of a camera for each keypoint, and their lifting to 3D by measured depth."""
 
 from __future__ import annotations
 
@@ -15,19 +14,20 @@ from bask_data.core.geometry import pixel_grid, transform, unproject
 from bask_data.core.nearest_depth import fill_depth
 
 LIFT_RADIUS = 3
-"""Half the window, in pixels of the distance map, within which a lifted pixel looks for its depth: wide enough to find
-a measurement beside the holes that depth cameras leave at edges. Its sensitivity has not been measured."""
+"""Half the window, pixels of the distance map, in which the depth of a lifted pixel is searched: wide enough to find a
+measurement beside the holes that depth cameras leave at edges. Chosen, sensitivity not measured."""
 
 TAU_STRIDE = 2
-"""Every so many-th row and column is enough for the mean likelihood of an image."""
+"""Step, in rows and columns, of the pixels that the mean likelihood of an image is estimated from. Chosen, sensitivity
+not measured."""
 
 TAU_MOST = 0.3
-"""Upper bound of tau: what is as close as this is a match, even if the whole image is. Together with the default ratio
-of 2 it did well with background at descriptor distances 0.5, 0.6, 0.8 and 1.2 alike (7-Scenes `redkitchen`)."""
+"""Upper bound of tau: a likelihood above it is a match, even if the whole image has it. With the default ratio of 2,
+tracking worked alike for background at descriptor distances 0.5, 0.6, 0.8 and 1.2 (7-Scenes `redkitchen`)."""
 
 POSITION_VARIANCE = 1e-6
-"""Square metres added to each camera's covariance before cameras are fused: no camera knows a point better than to a
-millimetre."""
+"""Square metres added to each camera's covariance before fusion: no camera is more accurate than a millimetre. Chosen,
+sensitivity not measured."""
 
 
 def softmax_map(distance: Float[ndarray, "k h w"], alpha: float) -> tuple[Float[ndarray, "k h w"], Float[ndarray, "k"]]:
@@ -47,12 +47,16 @@ def unseen_likelihood(
 ) -> Float[ndarray, "k"]:
     """tau of each keypoint: the likelihood of an image that does not show it; `tau` itself unless it is None.
 
-    Held against tau, exp(-alpha z) at a pixel decides whether the keypoint is rather there or out of sight. A constant
-    fits the distances of one network only: below the likelihood of background, look-alikes win over whatever leaves the
-    view; above that of matches, what is in view is lost. The default is a multiple of the likelihood's mean over the
-    image. At a ratio of one, an image without the keypoint would on average speak neither for the view nor against it;
-    but what looks alike does so in every frame, and is held down by a larger one. It has an upper bound for images
-    that the keypoint's surroundings fill.
+    The ratio of exp(-alpha z) at a pixel to tau decides whether the keypoint is there or not visible. A constant suits
+    the distances of one network only: below the likelihood of background, distractors win when the keypoint leaves the
+    view; above that of matches, visible keypoints are lost. The default is a multiple of the likelihood's mean over the
+    image. At a ratio of one, an image without the keypoint would on average be no evidence for or against; but
+    distractors match in every frame, and a larger ratio suppresses them. It is bounded for images that the keypoint's
+    surroundings fill.
+
+    Args:
+        tau: constant likelihood; None for the default.
+        ratio: the multiple.
     """
     if tau is not None:
         return np.full(len(distance), tau)
@@ -62,7 +66,7 @@ def unseen_likelihood(
 
 @dataclass(frozen=True)
 class Lifted:
-    """Heat maps of one camera in 3D; `n_eff` in pixels. NaN where no pixel has depth."""
+    """Heat maps of one camera in 3D, world frame; NaN where no pixel has depth. `n_eff` counts pixels."""
 
     mean: Float[ndarray, "k 3"]
     covariance: Float[ndarray, "k 3 3"]
@@ -78,14 +82,13 @@ def lift(
 ) -> Lifted:
     """Mean, mode and covariance of heat maps in the world frame.
 
-    The mean pixel is lifted, not the mean of the lifted pixels: the latter floats between foreground and background.
-    Its depth is the median, weighted by the heat map, of the measured depths around it, so it is always a depth that
-    was measured, and at an edge it is that of the side the heat is on.
+    The mean pixel is lifted, because the mean of the lifted pixels would float between foreground and background. Its
+    depth is the median of the measured depths around it, weighted by the heat map: always a depth that was measured,
+    and at an edge that of the side with the most heat.
 
     Args:
         heat: each sums to one; of the same size as `seen.depth`.
-        radius: half the window around a pixel in which depths are looked for; without any, the nearest measurement
-            counts.
+        radius: half the window, pixels, in which depths are searched; without any, the nearest measurement counts.
     """
     k, height, width = heat.shape
     u, v = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
@@ -127,7 +130,7 @@ def _depth_at(
 
 
 def _lifted_covariance(heat: Float[ndarray, "k h w"], seen: Observation) -> Float[ndarray, "k 3 3"]:
-    """Spread of the heat over the measured surface, world frame; NaN where it has no weight on any measurement."""
+    """Covariance of the heat over the measured surface, world frame; NaN without weight on any measurement."""
     height, width = seen.depth.shape
     points = unproject(pixel_grid(height, width), seen.depth.astype(np.float64), seen.K).reshape(-1, 3)
     measured = (seen.depth > 0).ravel()
@@ -148,10 +151,10 @@ def _lifted_covariance(heat: Float[ndarray, "k h w"], seen: Observation) -> Floa
 
 
 def fuse(lifted: Sequence[Lifted | None], k: int) -> Estimate:
-    """One estimate of several cameras: means weighted by inverse covariance, the mode of the sharpest heat map.
+    """One estimate from several cameras: means weighted by inverse covariance, the mode of the sharpest heat map.
 
     Args:
-        lifted: None for a camera without a frame.
+        lifted: of each camera, None for one without a frame.
         k: number of keypoints.
     """
     given = [one for one in lifted if one is not None]
@@ -183,7 +186,7 @@ def fuse(lifted: Sequence[Lifted | None], k: int) -> Estimate:
 
 
 def keep_last(now: Estimate, last: Estimate | None, observations: Sequence[Observation | None]) -> Estimate:
-    """`now`, with the last estimate where no camera could be lifted; its pixels are then those of the kept point."""
+    """`now`, with the last estimate where no camera gives one; its pixels are then projections of the kept point."""
     lost = np.isnan(now.mean).any(axis=1)
     if last is None or not lost.any():
         return now

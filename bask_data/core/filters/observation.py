@@ -1,4 +1,4 @@
-"""What goes into a filter and what comes out: a camera's frame, the gripper's motion, the estimate of the keypoints."""
+"""Input and output of a filter: a camera's frame, the gripper's motion, the estimate of the keypoints."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bask_data.core.nearest_depth import shrink_depth
 
 @dataclass(frozen=True)
 class Observation:
-    """What one camera sees of k keypoints in one frame.
+    """One camera's frame, with a distance map for each of k keypoints.
 
     `distance` may be coarser than `depth`; both span the same image, edge to edge. `K` belongs to `depth`.
     """
@@ -30,7 +30,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class Motion:
-    """What is known of the time between two frames: how the gripper moved."""
+    """The gripper's motion between two frames."""
 
     world_from_gripper_before: Float[ndarray, "4 4"]
     world_from_gripper: Float[ndarray, "4 4"]
@@ -38,26 +38,26 @@ class Motion:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Where k keypoints are, given all frames so far. NaN where nothing has been seen that could be lifted to 3D."""
+    """The positions of k keypoints given all frames so far; NaN before any observation could be lifted to 3D."""
 
     mean: Float[ndarray, "k 3"]
     """Metres, world frame."""
     covariance: Float[ndarray, "k 3 3"]
     mode: Float[ndarray, "k 3"]
     n_eff: Float[ndarray, "k"]
-    """Effective number of hypotheses: 1 / sum of squared weights."""
+    """Effective sample size: 1 / sum of squared weights."""
     log_evidence: Float[ndarray, "k"]
-    """Log of the likelihood of this frame given the ones before it."""
+    """Log of the likelihood of this frame given the previous ones."""
     pixel: Float[ndarray, "c k 2"]
-    """(u, v) in each camera, of `depth`'s image; may lie outside of it. NaN behind the camera, and in a camera that
-    gave no frame."""
+    """(u, v) in each camera's depth image; may lie outside of it. NaN behind the camera, and in a camera without a
+    frame."""
     observed: Bool[ndarray, "c k"]
-    """Whether the camera more likely than not sees the keypoint; False where it gave no frame."""
+    """Whether the camera more likely than not sees the keypoint; False for a camera without a frame."""
 
 
 @dataclass(frozen=True)
 class WeightedPoints:
-    """A belief over 3D points; the weights of each keypoint sum to one."""
+    """A belief over 3D points, metres; the weights of each keypoint sum to one."""
 
     points_world: Float[ndarray, "k n 3"]
     weight: Float[ndarray, "k n"]
@@ -65,19 +65,19 @@ class WeightedPoints:
 
 @dataclass(frozen=True)
 class PixelMaps:
-    """A belief over pixels: for each camera, in the order of the observations, a map of each keypoint (k, h, w) that
-    spans its image; None for a camera that has none."""
+    """A belief over pixels: for each camera, in the order of the observations, a map for each keypoint (k, h, w) that
+    spans its image; None for a camera without one."""
 
     maps: tuple[ndarray | None, ...]
 
 
 def n_keypoints(observations: Sequence[Observation | None]) -> int:
-    """Number of keypoints that the frames speak of; 0 without any frame."""
+    """Number of keypoints in the frames; 0 without any frame."""
     return next((len(seen.distance) for seen in observations if seen is not None), 0)
 
 
 def nothing_known(n_cameras: int, k: int) -> Estimate:
-    """The estimate of k keypoints before there is anything to estimate them from."""
+    """The estimate of k keypoints before any observation."""
     unknown = np.full((k, 3), np.nan)
     return Estimate(
         mean=unknown,
@@ -93,7 +93,7 @@ def nothing_known(n_cameras: int, k: int) -> Estimate:
 def projections(
     points_world: Float[ndarray, "k 3"], observations: Sequence[Observation | None]
 ) -> Float[ndarray, "c k 2"]:
-    """Where world points lie in each camera's image; NaN behind the camera, and where it gave no frame."""
+    """Pixels of world points in each camera; NaN behind the camera, and for a camera without a frame."""
     pixels = np.full((len(observations), len(points_world), 2), np.nan)
     for i, seen in enumerate(observations):
         if seen is not None:
@@ -102,7 +102,7 @@ def projections(
 
 
 def pixels_of(points_world: Float[ndarray, "*n 3"], seen: Observation) -> Float[ndarray, "*n 2"]:
-    """Where world points lie in the camera's image; NaN behind the camera."""
+    """Pixels of world points in one camera; NaN behind it."""
     rotation, position = seen.world_from_camera[:3, :3], seen.world_from_camera[:3, 3]
     return project((points_world - position) @ rotation, seen.K)[0]
 
@@ -110,7 +110,7 @@ def pixels_of(points_world: Float[ndarray, "*n 3"], seen: Observation) -> Float[
 def fitted(seen: Observation) -> Observation:
     """The same observation with depth and intrinsics at the resolution of the distance maps.
 
-    Sparse depth gets denser by it, and the filters faster.
+    Sparse depth becomes denser, and filters faster.
     """
     size, map_size = seen.depth.shape, seen.distance.shape[1:]
     if size == map_size:

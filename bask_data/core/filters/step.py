@@ -1,9 +1,8 @@
-"""One step of any of the filters, chosen by its settings: the same call for a stored demonstration and for a running
-robot.
+"""One step of the filter that the settings belong to, for stored demonstrations and running robots alike.
 
     belief, estimate = step(belief, observations, motion, rng, settings)
 
-starts with `belief = None`, once a frame.
+is called once a frame, the first time with `belief = None`.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ def step(
     """Belief and estimate after one more frame.
 
     Args:
-        belief: what the last step with these settings returned; None before the first.
-        observations: one for each camera, in the same order in every frame; None for a camera that gave no frame.
-        motion: of the gripper since the last frame, if there is one.
+        belief: returned by the last step with these settings; None before the first.
+        observations: one for each camera, in the same order in every frame; None for a camera without a frame.
+        motion: of the gripper since the last frame; None without one.
         rng: for filters that draw random numbers.
-        k: number of keypoints, asked for only while no camera has given a frame yet.
+        k: number of keypoints, needed only while no camera has given a frame.
 
     Raises:
         ValueError: no filter has settings of this type.

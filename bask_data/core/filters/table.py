@@ -1,6 +1,6 @@
-"""The table of filters: what the rest of the package knows of each, looked up by its name or by its settings.
+"""The table of filters, by name or by settings: the only way in which other modules access a filter.
 
-Nothing here needs NumPy, and a filter's module is loaded when it is asked for: the command line reads the names.
+Nothing here needs NumPy, and a filter's module is loaded on first use: the command line reads the names only.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ SettingsName = Literal["default", "paper", "code"]
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """Base of the settings of every filter, whose type says which filter they are for."""
+    """Base of the settings of every filter; their type identifies the filter."""
 
 
 @dataclass(frozen=True)
 class Filter:
-    """A filter, as the rest of the package sees it.
+    """The interface of a filter.
 
     Attributes:
         settings: class of its settings.
-        belief: class of what it knows after a frame, and all it needs to know for the next one.
+        belief: class of its belief, which is all that it needs for the next frame.
         step: `(belief, observations, motion, rng, settings) -> (belief, Estimate)`.
-        hypotheses: `(belief, observations, settings) -> WeightedPoints | PixelMaps`: the belief as a picture shows it.
+        hypotheses: `(belief, observations, settings) -> WeightedPoints | PixelMaps`: the belief for a picture.
         presets: by name, the settings that differ from the defaults.
-        by_single_frames: it takes each frame by itself: the baseline of every other filter.
-        alpha_is_of_one_frame: its setting `alpha` is the temperature of a single frame's heat map. False for a filter
-            whose own is made for many frames together.
+        by_single_frames: whether it takes each frame by itself: the baseline of every other filter.
+        alpha_is_of_one_frame: whether its setting `alpha` is the temperature of a single frame's heat map. False for a
+            filter whose `alpha` is chosen for many frames together.
     """
 
     settings: type[FilterSettings]
@@ -46,11 +46,11 @@ class Filter:
 
 @dataclass(frozen=True)
 class FilterEntry:
-    """A line of the table.
+    """A row of the table.
 
     Attributes:
-        module: which has the filter as `FILTER`.
-        help: what `bask-data encode --help` says of it.
+        module: that defines the filter as `FILTER`.
+        help: its text in `bask-data encode --help`.
     """
 
     module: str
@@ -61,10 +61,10 @@ FILTERS: dict[str, FilterEntry] = {
     "expectation": FilterEntry("bask_data.core.filters.expectation", "each frame by itself."),
     "discrete": FilterEntry("bask_data.core.filters.discrete", "belief over pixels."),
     "particle": FilterEntry(
-        "bask_data.core.filters.particle", "belief over 3D points, which remembers what is hidden or out of view."
+        "bask_data.core.filters.particle", "belief over 3D points, which is kept while they are hidden or out of view."
     ),
 }
-"""All filters, in the order in which they are listed and compared."""
+"""All filters, in the order they are listed in."""
 
 DEFAULT = "particle"
 """The filter of `encode`, and of a tracker without settings."""
@@ -98,10 +98,10 @@ def filter_of(settings: FilterSettings) -> Filter:
 def settings_named(filter: str, name: SettingsName = "default", **overrides: Any) -> FilterSettings:
     """Settings of a filter: our own, the paper's or those of its authors' published code.
 
-    The paper leaves most values open; what it does not say is as in the code.
+    The paper leaves most values open; these are as in the code.
 
     Args:
-        overrides: fields to change; those that are None stay as they are.
+        overrides: fields to change, except those that are None.
 
     Raises:
         ValueError: there is no such filter, or no settings of that name.
@@ -115,14 +115,14 @@ def settings_named(filter: str, name: SettingsName = "default", **overrides: Any
 
 
 def alpha_of_one_frame(filter: str, name: SettingsName = "default", alpha: float | None = None) -> float | None:
-    """Temperature at which one frame's heat map softmax(-alpha z) shows what a filter takes from it.
+    """Temperature of one frame's heat map softmax(-alpha z) as a filter uses it.
 
     Args:
-        filter: may be none of the table, as that of a track made of truth.
-        alpha: the temperature that was asked for, if any.
+        filter: may be absent from the table, as that of a track made from ground truth.
+        alpha: the temperature given by the user, if any.
 
     Returns:
-        None where the filter has none that speaks of a single frame.
+        None where the filter has no temperature of a single frame.
     """
     if filter not in FILTERS or (alpha is None and not filter_named(filter).alpha_is_of_one_frame):
         return None

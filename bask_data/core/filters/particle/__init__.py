@@ -1,7 +1,7 @@
-"""The particle filter: for each keypoint weighted points in the world frame, seen by any number of cameras, or by none.
+"""The particle filter: for each keypoint, weighted points in the world frame, seen by any number of cameras or none.
 
-All keypoints share one stream of random numbers, drawn once per particle and not once per keypoint. A keypoint's track
-therefore does not depend on which others are tracked beside it, and drawing costs the same for one as for sixteen.
+All keypoints share one stream of random numbers, drawn once per particle, not per keypoint. A keypoint's track then
+does not depend on which others are tracked, and drawing costs the same for one as for sixteen.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ def particle_step(
 ) -> tuple[ParticleBelief | None, Estimate]:
     """Belief and estimate after one more frame. Without a belief, particles are drawn from the heat maps.
 
-    The estimate is that of the weighted particles, before resampling adds its noise. While no camera has measured any
-    depth there is nothing to draw from: the belief stays None and the estimate NaN. A camera without a frame says
-    nothing; without any, only time passes.
+    The estimate is that of the weighted particles, before resampling adds noise. Until a camera measures depth, there
+    is nothing to draw from: the belief stays None and the estimate NaN. A camera without a frame is no evidence;
+    without any frame, particles only move.
 
     Source: von Hartz et al. 2023, Sec. III-B, Eq. 2 and 10.
     """
@@ -63,7 +63,7 @@ def particle_step(
 def weighted_particles(
     belief: ParticleBelief | None, observations: Sequence[Observation | None], settings: ParticleSettings
 ) -> WeightedPoints:
-    """The particles; none before the first depth."""
+    """The particles; none before the first measured depth."""
     if belief is None:
         k = n_keypoints(observations)
         return WeightedPoints(np.zeros((k, 0, 3)), np.zeros((k, 0)))

@@ -1,4 +1,4 @@
-"""What the particle filter knows: for each keypoint, weighted points in the world frame."""
+"""The belief of the particle filter: for each keypoint, weighted points in the world frame."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ class ParticleBelief:
     held: Bool[ndarray, "k n"]
     """Whether a particle took part in the gripper's last motion."""
     lookalikes: Float[ndarray, "k m 3"]
-    """Places that are not the keypoint, however they match, the last found first; NaN where there are not so many."""
+    """Positions of distractors, the latest first; NaN where there are fewer than m."""
     lookalike_match: Float[ndarray, "k m"]
     """exp(-alpha z) of each."""
     usual_match: Float[ndarray, "k"]
-    """p_d p_c of the track on average, of late, while it was seen; 0 where it never was."""
+    """Running average of p_d p_c of the track while it is seen; 0 where it never was."""
 
 
 def new_belief(
     points_world: Float[ndarray, "k n 3"], weight: Float[ndarray, "k n"], n_lookalikes: int = 0
 ) -> ParticleBelief:
-    """Particles that nothing holds, and no place that looks alike yet."""
+    """Particles that do not move with the gripper, and no distractors."""
     k = len(points_world)
     nowhere = np.full((k, n_lookalikes, 3), np.nan)
     held = np.zeros(weight.shape, dtype=bool)
@@ -36,7 +36,7 @@ def new_belief(
 
 
 def normalised(log_weight: Float[ndarray, "k n"]) -> tuple[Float[ndarray, "k n"], Float[ndarray, "k"]]:
-    """Weights that sum to one, and the log of the sum they had."""
+    """Weights that sum to one, and the log of their sum before."""
     highest = log_weight.max(axis=1, keepdims=True)
     weight = np.exp(log_weight - highest)
     total = weight.sum(axis=1, keepdims=True)

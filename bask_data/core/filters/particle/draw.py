@@ -1,4 +1,4 @@
-"""Particles drawn from the heat maps of a frame: the first ones, and those drawn anew in later frames."""
+"""Particles drawn from the heat maps of a frame: the first ones, and those redrawn in later frames."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def draw(seen: Observation, n: int, rng: Generator, settings: ParticleSettings, 
     """n points per keypoint on the measured surface, from the heat map, with the noise of a pixel and of depth.
 
     Args:
-        block: look at one pixel only, a random one, of each block x block pixels.
+        block: consider one random pixel only of each block x block pixels.
     """
     height, width = seen.distance.shape[1:]
     depth = shrink_depth(seen.depth, (height, width))
@@ -60,9 +60,10 @@ def draw(seen: Observation, n: int, rng: Generator, settings: ParticleSettings, 
 def first_particles(
     observations: Sequence[Observation], rng: Generator, settings: ParticleSettings
 ) -> tuple[ParticleBelief, list[FrameLikelihood], Float[ndarray, "k"]] | None:
-    """Particles drawn from the first heat maps, what cameras say of them, and log evidence; None without any depth.
+    """Particles drawn from the first heat maps, their likelihoods and the log evidence; None without any depth.
 
-    Each camera with depth gives an equal share. Its own frame is in what it drew; the other cameras weigh it.
+    Each camera with depth draws an equal share. These are weighted by the other cameras, as their own camera's frame is
+    in the draw.
     """
     usable = [i for i, seen in enumerate(observations) if (seen.depth > 0).any()]
     if not usable:

@@ -1,4 +1,4 @@
-"""The estimate that weighted particles give: mean, covariance and mode."""
+"""The estimate from weighted particles: mean, covariance and mode."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from bask_data.core.filters.particle.likelihood import FrameLikelihood
 from bask_data.core.filters.particle.resample import stratified
 
 N_MODES = 32
-"""Number of particles whose surroundings are weighed in search of the mode: a hypothesis with a thirtieth of the weight
-is looked at, and one with less is not the mode."""
+"""Number of particles that are candidates for the mode, evenly over the cumulated weight: a hypothesis with a
+thirtieth of the weight has one. Chosen, sensitivity not measured."""
 
 
 def estimate_of(
@@ -26,11 +26,11 @@ def estimate_of(
     log_evidence: Float[ndarray, "k"],
     mode_radius: float,
 ) -> Estimate:
-    """The estimate of particles that have been weighed.
+    """The estimate from weighted particles.
 
     Args:
-        likelihoods: of the cameras that gave a frame, in order.
-        observations: None for a camera that gave none.
+        likelihoods: of the cameras with a frame, in order.
+        observations: of all cameras, None for one without a frame.
         mode_radius: metres around the mode that count as one hypothesis.
     """
     points, weight = belief.points_world, belief.weight
@@ -52,12 +52,15 @@ def estimate_of(
 
 
 def mode(points: Float[ndarray, "k n 3"], weight: Float[ndarray, "k n"], radius: float) -> Float[ndarray, "k 3"]:
-    """Mean of the ball of particles that holds the most weight, among balls around every so many-th of the weight.
+    """Mean of the ball of particles with the most weight, among balls around `N_MODES` of them.
 
-    A histogram would be cheaper, but a cluster cut by its cells loses against a lighter one that is not.
+    A histogram would be cheaper, but a cluster divided by its cells loses against a lighter one that is not.
+
+    Args:
+        radius: of the balls, metres.
     """
-    some = np.stack([one[stratified(w, np.full(N_MODES, 0.5))] for one, w in zip(points, weight, strict=True)])
-    centre = some[np.arange(len(points)), _mass_around(some, points, weight, radius).argmax(axis=1)]
+    centres = np.stack([own[stratified(w, np.full(N_MODES, 0.5))] for own, w in zip(points, weight, strict=True)])
+    centre = centres[np.arange(len(points)), _mass_around(centres, points, weight, radius).argmax(axis=1)]
     for _ in range(3):
         away = points - centre[:, None]
         inside = (np.einsum("kni,kni->kn", away, away) < radius**2) * weight
@@ -67,12 +70,12 @@ def mode(points: Float[ndarray, "k n 3"], weight: Float[ndarray, "k n"], radius:
 
 
 @compiled
-def _mass_around(some: ndarray, points: ndarray, weight: ndarray, radius: float) -> ndarray:
-    """Weight of the points around each of some of them."""
-    mass = np.zeros(some.shape[:2])
-    for k in range(some.shape[0]):
-        for c in range(some.shape[1]):
-            x, y, z = some[k, c, 0], some[k, c, 1], some[k, c, 2]
+def _mass_around(centres: ndarray, points: ndarray, weight: ndarray, radius: float) -> ndarray:
+    """Weight of the points within a radius of each centre (k, c)."""
+    mass = np.zeros(centres.shape[:2])
+    for k in range(centres.shape[0]):
+        for c in range(centres.shape[1]):
+            x, y, z = centres[k, c, 0], centres[k, c, 1], centres[k, c, 2]
             for n in range(points.shape[1]):
                 a, b, d = points[k, n, 0] - x, points[k, n, 1] - y, points[k, n, 2] - z
                 if a * a + b * b + d * d < radius * radius:

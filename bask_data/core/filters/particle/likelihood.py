@@ -15,18 +15,17 @@ from bask_data.core.filters.observation import Observation
 from bask_data.core.filters.particle.settings import ParticleSettings
 
 LEAST_LIKELIHOOD = 1e-30
-"""Stands for zero: a particle that cannot be right keeps a weight, so that not even a set without any right one has
-none."""
+"""Lower bound of a likelihood, so that weights can be normalised even if no particle explains the frame."""
 
 
 @dataclass(frozen=True)
 class FrameLikelihood:
-    """What one camera's frame says of each particle.
+    """The likelihood of one camera's frame given each particle.
 
     Attributes:
-        likelihood: of the frame given the particle.
-        seen: the part of it that comes from the particle being seen.
-        tau: of the frame if the camera does not see the keypoint.
+        likelihood: of the frame.
+        seen: the part of it for a particle that is seen.
+        tau: likelihood of the frame if the camera does not see the keypoint.
     """
 
     likelihood: Float[ndarray, "k n"]
@@ -40,16 +39,20 @@ def frame_likelihood(
     settings: ParticleSettings,
     usual_match: Float[ndarray, "k"] | float = 0.0,
 ) -> FrameLikelihood:
-    """Particles in a camera's frame.
+    """The likelihood of a camera's frame given each particle.
 
         p = p_o p_f tau + (1 - p_f) tau + (1 - p_o) p_f p_d p_c
 
-    p_o = 1 - Phi((z^d - (x^d - eps)) / sigma) is large where the *measured* depth z^d is clearly smaller than the
-    particle's. p_d is exp(-(z^d - x^d)^2 / 2 sigma^2): its peak is one, so that tau weighs the same at every depth.
+    p_o = 1 - Phi((z^d - (x^d - eps)) / sigma), the probability that the particle is hidden, is large where the
+    *measured* depth z^d is clearly smaller than the particle's, x^d. p_d is exp(-(z^d - x^d)^2 / 2 sigma^2): its peak
+    is one, so that tau has the same weight at every depth. p_f is one inside the image, else zero; p_c is
+    exp(-alpha z).
 
     A pixel without depth is a measurement of infinite noise, the limit of the formula for sigma to infinity: p_o = 1/2
-    (hidden or not, nobody knows; `hidden_without_depth`) and p_d = 1. It says nothing of depth, and half of what it
-    otherwise says of correspondence.
+    (`hidden_without_depth`) and p_d = 1.
+
+    Args:
+        usual_match: of `ParticleBelief`; gives tau a lower bound.
 
     Source: von Hartz et al. 2023, Eq. 6 to 10.
     """

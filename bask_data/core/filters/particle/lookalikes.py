@@ -1,4 +1,4 @@
-"""Memory of places that look like a keypoint but are not: they matched while the keypoint was seen elsewhere."""
+"""Memory of distractors: positions that matched while the keypoint was seen elsewhere."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bask_data.core.filters.particle.settings import ParticleSettings
 def matched_now(
     belief: ParticleBelief, looks: Sequence[FrameLikelihood]
 ) -> tuple[Float[ndarray, "k"], Float[ndarray, "k"]]:
-    """How well the track matches, at most one, in the camera that sees it best; and that camera's tau."""
+    """p_d p_c of the track, at most one, in the camera that sees it best; and that camera's tau."""
     if not looks:
         return np.zeros(len(belief.weight)), np.ones(len(belief.weight))
     matched = np.stack([np.einsum("kn,kn->k", belief.weight, one.seen) for one in looks])
@@ -29,7 +29,11 @@ def matched_now(
 def usual_match(
     belief: ParticleBelief, matched: Float[ndarray, "k"], tau: Float[ndarray, "k"], settings: ParticleSettings
 ) -> Float[ndarray, "k"]:
-    """The usual match after a frame in which the track matched like this."""
+    """The running average of a track's match after a frame.
+
+    Args:
+        matched, tau: of `matched_now`.
+    """
     rate = np.where(belief.usual_match > 0, settings.usual_rate, 1.0)
     return belief.usual_match + np.where(matched > settings.found * tau, rate, 0.0) * (matched - belief.usual_match)
 
@@ -40,7 +44,7 @@ def known_lookalikes(
     match: Float[ndarray, "k n"],
     settings: ParticleSettings,
 ) -> Bool[ndarray, "k n"]:
-    """Which points are where something looks alike, and match no better than that did."""
+    """Points near a known distractor that match no better than it did."""
     apart = np.linalg.norm(points_world[:, :, None] - belief.lookalikes[:, None], axis=-1)
     same = (apart < settings.lookalike_radius) & (
         match[:, :, None] < settings.lookalike_better * belief.lookalike_match[:, None]
@@ -56,7 +60,12 @@ def with_lookalikes(
     match: Float[ndarray, "k n"],
     settings: ParticleSettings,
 ) -> ParticleBelief:
-    """The belief with what was drawn far from tracks that are seen and sure, and match as well."""
+    """The belief with new distractors: points that match as well as a track that is seen and certain, but are far from
+    it.
+
+    Args:
+        points_world, match: drawn points and exp(-alpha z) at each.
+    """
     spread = np.sqrt(np.trace(estimate.covariance, axis1=1, axis2=2))
     sure = (belief.usual_match > 0) & (spread < 0.5 * settings.lookalike_radius)
     far = np.linalg.norm(points_world - estimate.mean[:, None], axis=-1) > settings.lookalike_radius

@@ -1,4 +1,4 @@
-"""How particles move between two frames: a random walk, and some of them with the gripper."""
+"""Motion of particles between two frames: a random walk, and for some of them the gripper's motion."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from bask_data.core.geometry import invert_rigid, transform
 
 
 def move(belief: ParticleBelief, motion: Motion | None, rng: Generator, settings: ParticleSettings) -> ParticleBelief:
-    """The belief after one frame, before anything is seen of it.
+    """The belief predicted for the next frame.
 
-    x + m_r + m_w G_t, with G_t the gripper's rigid motion, rotation included. m_w is drawn anew in each frame with
-    probability 1 - `gripper_memory`, and is else what it was: a Markov chain whose share of ones is p_w.
+    x + m_r + m_w G_t, with G_t the gripper's rigid motion, rotation included. m_w is redrawn in each frame with
+    probability 1 - `gripper_memory`, else kept: a Markov chain whose share of ones is p_w.
 
     Source: von Hartz et al. 2023, Eq. 4.
     """

@@ -1,4 +1,4 @@
-"""The belief made ready for the next frame: resampled, and the lightest particles drawn anew."""
+"""Preparation of the belief for the next frame: resampling, and the lightest particles redrawn."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def refresh(
     rng: Generator,
     settings: ParticleSettings,
 ) -> ParticleBelief:
-    """The belief for the next frame: resampled where few particles matter, the lightest ones drawn anew from the heat
-    maps.
+    """The belief for the next frame: resampled where the effective sample size is low, the lightest particles redrawn
+    from the heat maps.
 
-    Where the track is seen, what is drawn far from it looks alike and is remembered; what is drawn near such a place is
-    given no weight. Frames are not independent: a look-alike that stays in view would soon outweigh any place that is
-    not, however small the weight it began with.
+    Where the track is seen, points drawn far from it are distractors and remembered; points drawn near one get no
+    weight. Frames are not independent: a distractor that stays in view would soon outweigh any position that is not,
+    however small its first weight.
 
     Source: von Hartz et al. 2023, Sec. III-B.5.
     """
@@ -43,7 +43,7 @@ def refresh(
     belief = replace(_resampled(belief, spread, settings), usual_match=usual_match(belief, matched, tau, settings))
     n_new = round(settings.redraw_share * n)
     usable = [seen for seen in observations if (seen.depth > 0).any()]
-    ties = 1.0 + 1e-6 * rng.random(n)  # Equal weights would leave the choice to how a sort goes about it.
+    ties = 1.0 + 1e-6 * rng.random(n)  # With equal weights, the choice would depend on the sorting algorithm.
     if not n_new or not usable:
         return belief
     parts = [len(part) for part in np.array_split(np.arange(n_new), len(usable))]
@@ -72,7 +72,7 @@ def refresh(
 
 
 def _resampled(belief: ParticleBelief, spread: Float[ndarray, "n"], settings: ParticleSettings) -> ParticleBelief:
-    """Particles of equal weight where only few matter, else as they are."""
+    """Particles resampled to equal weights where the effective sample size is low, else unchanged."""
     k, n = belief.weight.shape
     few = 1.0 / np.einsum("kn,kn->k", belief.weight, belief.weight) < settings.resample_below * n
     if not few.any():
@@ -86,8 +86,12 @@ def _resampled(belief: ParticleBelief, spread: Float[ndarray, "n"], settings: Pa
 
 
 def stratified(weight: Float[ndarray, "m"], uniform: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
-    """Indices of n particles, one drawn from each n-th of the cumulated weight: i appears n weight[i] times in the
-    mean. With the same random number n times over it is systematic resampling."""
+    """Indices of n particles, one from each n-th of the cumulated weight: i appears n weight[i] times in expectation.
+    With n equal random numbers it is systematic resampling.
+
+    Args:
+        uniform: in [0, 1).
+    """
     n = len(uniform)
     total = np.cumsum(weight)
     return np.searchsorted(total, (np.arange(n) + uniform) / n * total[-1], side="right").clip(max=len(weight) - 1)

@@ -15,77 +15,83 @@ class ParticleSettings(FilterSettings):
 
     n_particles: int = 2000
     alpha: float = 2.0
-    """Temperature: a pixel at distance z has correspondence likelihood exp(-alpha z). Half of what networks are trained
-    with, and the paper's: frames of one motion err together, and what they say must not count in full each time.
-    Three networks on `lid`: mean error 59, 59 and 57 mm, with alpha 4 it was 70, 74 and 63."""
+    """Temperature: a pixel at descriptor distance z has likelihood exp(-alpha z). Half of the paper's and of the
+    training's, because errors of successive frames are correlated. Mean errors of three networks on `lid`: 59, 59 and
+    57 mm; with alpha 4, 70, 74 and 63."""
     tau: float | None = None
-    """Likelihood of any observation if the camera does not see the particle; None: `unseen_likelihood` says it of each
+    """Likelihood of any observation if the camera does not see the particle; None: `unseen_likelihood` of each
     frame."""
     tau_ratio: float = 2.0
-    """Without `tau`: how much likelier the keypoint is out of sight than at the average pixel ..."""
+    """Without `tau`: likelihood of a frame if the keypoint is not visible, over that at its average pixel ..."""
     tau_match: float = 0.03
-    """... and at least: this share of how well the track has matched, on average, while seen. The best match of an
-    image that does not show the keypoint is far above the average pixel. Chosen on `lid` and `rubbish` with trained
-    networks; where distances end at 1, 0.1 to 0.25 is better."""
+    """... and at least this share of the track's average match while seen: the best match in an image that does not
+    show the keypoint is far better than at the average pixel. Chosen on `lid` and `rubbish` with trained networks;
+    where distances end at 1, 0.1 to 0.25 is better."""
     walk: float = 0.002
-    """Standard deviation of the random walk in one frame and along each axis, metres. The authors' is 0.01."""
+    """Standard deviation of the random walk in one frame and along each axis, metres. The authors' is 0.01. Assumes a
+    tabletop. Chosen, sensitivity not measured."""
     gripper_probability: float = 0.2
     """Probability that a particle near the gripper takes part in the gripper's motion. The authors' is 0.25."""
     gripper_memory: float = 0.9
-    """Probability that it does in a frame what it did in the last: what is held stays held. Zero for the paper's model,
-    in which every frame is drawn anew. With 0.9, the 90th percentile of the error of moving keypoints fell from 2.0 to
-    0.2 cm (two simulated demonstrations, wrist camera)."""
+    """Probability that a particle keeps, from the last frame, whether it moves with the gripper. Zero for the paper's
+    model, in which every frame is redrawn. With 0.9, the 90th percentile of the error of moving keypoints fell from 2.0
+    to 0.2 cm (two simulated demonstrations, wrist camera)."""
     gripper_reach: float = 0.15
-    """Metres around the gripper's frame within which particles may move with it. Infinity for the paper's model."""
+    """Metres around the gripper's frame within which particles may move with it. Infinity for the paper's model.
+    Assumes a tabletop. Chosen, sensitivity not measured."""
     gripper_turns: bool = True
-    """Whether particles take part in the gripper's rotation, too. The authors' take part in its translation only."""
+    """Whether particles follow the gripper's rotation, too. The authors' follow its translation only."""
     depth_noise: float = 0.02
-    """Standard deviation of depth, as a share of depth; as in the authors' code ..."""
+    """Standard deviation of depth, as a share of depth; the authors' ..."""
     depth_noise_floor: float = 0.001
-    """... and what is added to it, metres."""
+    """... and a constant added to it, metres; the authors'."""
     hidden_without_depth: float = 0.5
-    """p_o at a pixel without depth. The authors' is 1: such a pixel says nothing at all."""
+    """p_o at a pixel without depth. The authors' is 1: such a pixel is no evidence at all."""
     occlusion_margin: float = 0.05
-    """Metres by which something must lie in front of a particle to hide it. The paper's; its code has 0.10."""
+    """Metres by which an occluder must be in front of a particle. The paper's; its code has 0.10. Assumes a
+    tabletop."""
     resample_below: float = 0.1
-    """Resample when the effective number of particles is below this share of all. The authors'."""
+    """Resample when the effective sample size is below this share of the particles. The authors'."""
     resampling: Literal["stratified", "systematic"] = "stratified"
     """One random number for each new particle, or one for all of them."""
     draw_sharpness: float = 6.0
-    """How much higher than alpha the temperature is of the heat maps that particles are drawn from, first and later:
-    alpha is made for many frames together, and in a single one leaves most of the weight to the background. One for the
-    paper's filter. On 7-Scenes `redkitchen` it took the error of the first estimate from 86 to 17 cm."""
+    """Factor on alpha for the heat maps that particles are drawn from: alpha is chosen for many frames together, and in
+    a single one leaves most of the weight to the background. One for the paper's filter. On 7-Scenes `redkitchen` it
+    reduced the error of the first estimate from 86 to 17 cm."""
     redraw_share: float = 0.01
-    """Share of the particles drawn anew from each frame's heat maps. The authors' is 0.05."""
+    """Share of the particles redrawn from each frame's heat maps. The authors' is 0.05."""
     draw_block: int = 4
-    """Edge, pixels of the distance map, of the blocks of which one pixel each is looked at when these are drawn: the
-    cost falls with its square, and a network of stride 8 resolves nothing finer."""
+    """Edge, pixels of the distance map, of the blocks in which one random pixel each is considered for redrawing: the
+    cost falls with its square. Chosen, sensitivity not measured."""
     redraw_mass: float = 1e-3
-    """Weight these get together where the track is not seen to match: the probability that it has been lost, in each
-    frame. On `redkitchen`, ten times as much pulled the mean of points out of view from 1.8 to 3.9 cm."""
+    """Total weight of redrawn particles where the track is not seen to match: the probability that it was lost, in each
+    frame. On `redkitchen`, ten times as much raised the error of the mean out of view from 1.8 to 3.9 cm."""
     unfound_mass: float = 20.0
-    """How much more weight is drawn anew while a track has never been found. Its sensitivity has not been measured."""
+    """Factor on that weight while a track has never been found. Chosen, sensitivity not measured."""
     found: float = 2.0
-    """A track is found where a camera sees it match this many times better than tau. Its sensitivity has not been
+    """A track is found where a camera sees it match this many times better than tau. Chosen, sensitivity not
     measured."""
     usual_rate: float = 0.1
-    """Share of a frame's match in the running average of how well the track matches while it is found: an average over
-    about ten frames. Its sensitivity has not been measured."""
+    """Weight of a frame in the running average of the track's match while it is found. Chosen, sensitivity not
+    measured."""
     n_lookalikes: int = 64
-    """How many places to remember that matched while the keypoint was seen elsewhere: none of them is it. Zero for the
-    paper's filter: whatever looks alike takes the keypoint over, then, once that is out of sight. With the memory, 31
-    of 32 keypoints with a twin were kept (two equal boxes, simulated), without it none."""
+    """Number of distractors to remember: positions that matched while the keypoint was seen elsewhere. Zero for the
+    paper's filter, whose track moves to a distractor once the keypoint is not visible. With it, 31 of 32 keypoints on
+    one of two identical boxes were kept (simulated), without it none."""
     lookalike_radius: float = 0.06
-    """Metres around a look-alike, or around the track, that count as the same place: about the size of a small object
-    on a table. A track must be twice as sure to tell the one from the other."""
+    """Metres around a distractor, or around the track, that count as the same position: about the size of a small
+    object on a table. A track is certain enough to find distractors if its spread is below half of it. Assumes a
+    tabletop. Chosen, sensitivity not measured."""
     lookalike_better: float = 1.5
-    """What matches better than a look-alike by this factor is another thing that came to its place."""
+    """A point that matches better than a distractor by this factor is something else that moved there. Chosen,
+    sensitivity not measured."""
     mode_radius: float = 0.03
-    """Metres around the mode within which particles count as one hypothesis: half of `lookalike_radius`."""
+    """Metres around the mode within which particles count as one hypothesis: half of `lookalike_radius`. Assumes a
+    tabletop. Chosen, sensitivity not measured."""
 
 
 _OUT_OF_SIGHT = 0.25 * math.exp(-4.0)
-"""tau of the authors' code: a match at descriptor distance 1 whose depth fits with 0.25."""
+"""tau of the authors' code: the likelihood of a match at descriptor distance 1 (alpha 4) and p_d = 0.25."""
 
 _CODE: dict[str, Any] = {
     "n_particles": 250,
