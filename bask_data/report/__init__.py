@@ -1,4 +1,4 @@
-"""Reports: what a dataset holds and how good it is, as one page to look at and as figures for a script."""
+"""Reports on the contents and quality of a dataset, as one page and as figures for scripts."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ __all__ = ["measure", "summarise", "write_report"]
 
 
 def measure(dataset: Dataset) -> Measured:
-    """What page and summary both need and what takes a look at many frames; give it to both to look only once."""
+    """Figures that need many frames; pass them to `write_report` and `summarise` to measure only once."""
     from bask_data.evaluation.figures import Measured
 
     return Measured(dataset)
 
 
 def write_report(dataset: Dataset, out: Path, measured: Measured | None = None) -> Path:
-    """Write one self-contained HTML file about a dataset: it loads nothing from anywhere.
+    """Write a report on a dataset as one self-contained HTML file.
 
     Returns:
         The file, `out`.
@@ -47,7 +47,7 @@ def write_report(dataset: Dataset, out: Path, measured: Measured | None = None) 
 
 
 def summarise(dataset: Dataset, measured: Measured | None = None) -> dict[str, Any]:
-    """The report's figures of all items as plain JSON values; None where a figure is not known."""
+    """The report's figures of all items as plain JSON values; None where a figure is unknown."""
     from bask_data.evaluation.figures import summary
 
     return summary(dataset, measured or measure(dataset))

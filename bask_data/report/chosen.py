@@ -1,7 +1,7 @@
-"""What a page shows of a dataset, and how its sections are made of parts.
+"""The items that a page shows, and the parts of its sections.
 
-A section is a list of parts, one per item; no part, no section. A part is a plain dictionary that the template knows
-how to lay out: `numbers` are figures, `tiles` pictures, `rows` lines of a table, `plots` curves; `error` stands alone.
+A section is a list of parts, one per item; without parts it is left out. A part is a dictionary that the template lays
+out: `numbers` are figures, `tiles` pictures, `rows` lines of a table, `plots` curves; `error` comes without the others.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from bask_data.evaluation.track_figures import TrackScores
 from bask_data.kinds import DescriptorNet, KeypointTrack, ReferenceKeypoints
 
 N_ITEMS = 3
-"""Scenes, demonstrations and variants shown; more would make a page nobody loads."""
+"""Scenes, demonstrations and variants shown, at most: more make a page too large to load."""
 N_ROWS = 32
-"""Of a table, at most; what is left out is counted below it."""
+"""Rows of a table, at most; those left out are counted below it."""
 N_CAMERAS = 3
-"""Cameras of an item that are shown; what is left out is counted."""
+"""Cameras shown of an item, at most; those left out are counted."""
 TILE, PICTURE, WIDE = 320, 480, 1100
-"""Pixels of width: of a contact sheet's tile, of a picture to look into, of two views beside each other on a page."""
+"""Widths in pixels: of a contact sheet's tile, of a picture, of two views side by side."""
 Part = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """The items a page shows: the first few of each sort."""
+    """The items that a page shows: the first scenes, demonstrations and variants."""
 
     dataset: Dataset
     measured: Measured
@@ -43,7 +43,7 @@ class Chosen:
 
     @cached_property
     def tracks(self) -> list[tuple[str, str, TrackScores]]:
-        """(demonstration, variant, scores) of every track shown."""
+        """(demonstration, variant, scores) of each track shown."""
         return [
             (name, variant, self.measured.track(name, variant))
             for variant in self.variants
@@ -63,7 +63,7 @@ class Chosen:
 
 
 def choose(dataset: Dataset, measured: Measured, n_frames: int) -> Chosen:
-    """The first items of each sort."""
+    """The first scenes, demonstrations and variants of the dataset."""
     kinds = (DescriptorNet, ReferenceKeypoints, KeypointTrack)
     variants = list(dict.fromkeys(name for kind in kinds for name in dataset.variants(kind)))
     return Chosen(
@@ -77,18 +77,18 @@ def choose(dataset: Dataset, measured: Measured, n_frames: int) -> Chosen:
 
 
 def per_item(names: Sequence[str], part: Callable[[str], Part | None]) -> list[Part]:
-    """A part per item that has one; an item that cannot be read says so and spoils no other."""
+    """The part of each item that has one; an unreadable item becomes a part with the error."""
     parts = []
     for name in names:
         try:
-            made = part(name)
+            item_part = part(name)
         except UNREADABLE as error:
-            made = {"title": name, "error": what_is_wrong(error)}
-        if made:
-            parts.append(made)
+            item_part = {"title": name, "error": what_is_wrong(error)}
+        if item_part:
+            parts.append(item_part)
     return parts
 
 
 def untitled_if_alone(parts: list[Part]) -> list[Part]:
-    """A variant's name says something only where there are several."""
+    """The parts, without a title if there is only one: a single variant needs no name."""
     return [{**part, "title": ""} for part in parts] if len(parts) == 1 else parts

@@ -1,4 +1,4 @@
-"""The report's section on how well networks find in held-out views what they saw in others."""
+"""The section on descriptor networks: matches found in held-out views, compared with ground truth."""
 
 from __future__ import annotations
 
@@ -11,48 +11,50 @@ from bask_data.drawing.plots import Curve, line_plot, numbers
 from bask_data.report.chosen import N_ROWS, Chosen, Part
 
 COLOURS = ("#4a90d0", "#d08020", "#3f9f74", "#a07cc0", "#c8504a")
-"""Of networks; they read on a light and on a dark page."""
+"""Colours of networks, legible on light and dark pages."""
 CURVES = {
-    "error_share": ("How far the best match is from the true one", "share of the image's diagonal"),
-    "error_3d": ("The same in space", "metres"),
-    "closer_share": ("Pixels taken for closer than the true match", "share of the image"),
-    "false_positive_share": ("How far these are from the true match", "mean, share of the image's diagonal"),
+    "error_share": ("Error of the best match", "share of the image's diagonal"),
+    "error_3d": ("Error of the best match in 3D", "metres"),
+    "closer_share": ("False positives: pixels closer than the true match", "share of the image"),
+    "false_positive_share": ("Distance of false positives from the true match", "mean, share of the image's diagonal"),
 }
 GROUPS = {
     "by_scale": "change of scale",
-    "by_zoom": "zoomed, nothing else changed",
+    "by_zoom": "zoom alone",
     "by_rotation": "rotation in the image, degrees",
-    "by_turn": "turned by degrees, nothing else changed",
-    "by_occlusion": "how much of the object is visible",
+    "by_turn": "rotation alone, degrees",
+    "by_occlusion": "visible share of the object",
     "by_object": "object",
     "by_scene": "scene",
 }
 SPLITS = ("scale", "rotation", "occlusion")
 SHADES = ("#3f9f74", "#4a90d0", "#d08020", "#c8504a")
-"""Of bins."""
+"""Colours of bins."""
 END_OF_SPLIT_CURVES = 0.3
-"""Where curves that are told apart end, share of the image's diagonal: the same for all of them."""
+"""End of the curves by bin, share of the image's diagonal; the same for all plots."""
 NEARLY_ALL = 0.995
-"""Share of the matches at which a cumulative curve has no more to tell."""
+"""Share of the matches at which a cumulative curve is cut off."""
 
 
 def evaluation(chosen: Chosen) -> list[Part]:
     """Figures, cumulative curves and reliability of all networks, on the same matches."""
-    found = chosen.measured.descriptors()
-    parts: list[Part] = [{"title": name, "error": why} for name, why in found.get("errors", {}).items()]
-    if "variants" not in found:
+    result = chosen.measured.descriptors()
+    parts: list[Part] = [{"title": name, "error": why} for name, why in result.get("errors", {}).items()]
+    if "variants" not in result:
         return parts
-    variants: dict[str, Any] = found["variants"]
+    variants: dict[str, Any] = result["variants"]
     colours = {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(variants)}
     part: Part = {
         "title": "",
-        "measured_on": found["measured_on"],
-        "n_pairs": found["n_pairs"],
-        "sources": sorted(set(found["matches_by"].values())),
-        "radius": found["radius_share"],
-        "alpha": found["alpha"],
+        "measured_on": result["measured_on"],
+        "n_pairs": result["n_pairs"],
+        "sources": sorted(set(result["matches_by"].values())),
+        "radius": result["radius_share"],
+        "alpha": result["alpha"],
         "colours": colours,
-        "rows": [{"name": name, **told["all"], "ece": told["calibration"]["ece"]} for name, told in variants.items()],
+        "rows": [
+            {"name": name, **figures["all"], "ece": figures["calibration"]["ece"]} for name, figures in variants.items()
+        ],
         "groups": [
             {"title": title, "rows": rows[:N_ROWS], "n_left_out": max(len(rows) - N_ROWS, 0)}
             for name, title in GROUPS.items()
@@ -60,7 +62,7 @@ def evaluation(chosen: Chosen) -> list[Part]:
         ],
         "plots": [
             *(_curve_plot(variants, name, colours) for name in CURVES),
-            _reliability_plot(variants, colours, found["radius_share"]),
+            _reliability_plot(variants, colours, result["radius_share"]),
         ],
         "split_plots": _split_plots(variants),
     }
@@ -68,22 +70,23 @@ def evaluation(chosen: Chosen) -> list[Part]:
 
 
 def _rows(variants: Mapping[str, Any], group: str) -> list[Part]:
-    """Of each bin, what every network found; bins without matches are left out."""
-    told = [one.get(group, {}) for one in variants.values()]
+    """Each bin's figures of every network; bins without matches are left out."""
+    bins = [figures.get(group, {}) for figures in variants.values()]
     rows = [
-        {"name": name, "n": of_first["n"], "cells": [one[name] for one in told]} for name, of_first in told[0].items()
+        {"name": name, "n": of_first["n"], "cells": [of_network[name] for of_network in bins]}
+        for name, of_first in bins[0].items()
     ]
-    # A single scene or object is the whole.
+    # A single scene or object would only repeat the figures of all matches.
     return [row for row in rows if row["n"]] if len(rows) > 1 else []
 
 
 def _curve_plot(variants: Mapping[str, Any], metric: str, colours: Mapping[str, str]) -> Part:
     title, x_label = CURVES[metric]
     curves, legend, end = [], [], 0.0
-    for name, told in variants.items():
-        x, y = (numbers(told["curves"][metric][key]) for key in ("threshold", "share"))
+    for name, figures in variants.items():
+        x, y = (numbers(figures["curves"][metric][key]) for key in ("threshold", "share"))
         curves.append(Curve(x, y, colours[name], thick=True))
-        legend.append({"name": name, "colour": colours[name], "last": told["all"][f"area_{metric}"]})
+        legend.append({"name": name, "colour": colours[name], "last": figures["all"][f"area_{metric}"]})
         reached = x[y >= NEARLY_ALL]
         end = max(end, float(reached[0]) if len(reached) else float(x[-1]))
     svg = line_plot(curves, x_label=x_label, y_label="share of the matches", x_range=(0.0, end), y_range=(0, 1.02))
@@ -91,20 +94,20 @@ def _curve_plot(variants: Mapping[str, Any], metric: str, colours: Mapping[str, 
 
 
 def _split_plots(variants: Mapping[str, Any]) -> list[Part]:
-    """Cumulative curves of the error, told apart: a plot for each network and what its matches are told apart by."""
+    """Cumulative curves of the error by bin: a plot for each network and each way of binning."""
     plots = []
     for split in SPLITS:
-        for name, told in variants.items():
-            x = numbers(told["curves"]["error_share"]["threshold"])
+        for name, figures in variants.items():
+            x = numbers(figures["curves"]["error_share"]["threshold"])
             bins = {
-                bin_: one["error_share"]
-                for bin_, one in told["curves_by"][split].items()
-                if one["error_share"][0] is not None
+                bin_: curves["error_share"]
+                for bin_, curves in figures["curves_by"][split].items()
+                if curves["error_share"][0] is not None
             }
             if len(bins) < 2:
                 continue
             curves = [Curve(x, numbers(y), SHADES[i % len(SHADES)], thick=True) for i, y in enumerate(bins.values())]
-            areas = [told[f"by_{split}"][bin_]["area_error_share"] for bin_ in bins]
+            areas = [figures[f"by_{split}"][bin_]["area_error_share"] for bin_ in bins]
             svg = line_plot(
                 curves,
                 x_label="share of the diagonal",
@@ -122,21 +125,21 @@ def _split_plots(variants: Mapping[str, Any]) -> list[Part]:
 
 def _reliability_plot(variants: Mapping[str, Any], colours: Mapping[str, str], radius: float) -> Part:
     curves, legend = [Curve(np.array([0.0, 1.0]), np.array([0.0, 1.0]), "", dashed=True)], []
-    for name, told in variants.items():
-        found = told["calibration"]
-        known = numbers(found["n"]) > 0
-        promised, kept = (numbers(found[key])[known] for key in ("confidence", "accuracy"))
-        curves.append(Curve(promised, kept, colours[name], thick=True))
-        legend.append({"name": f"{name}, calibration error", "colour": colours[name], "last": found["ece"]})
+    for name, figures in variants.items():
+        calibration = figures["calibration"]
+        known = numbers(calibration["n"]) > 0
+        confidence, accuracy = (numbers(calibration[key])[known] for key in ("confidence", "accuracy"))
+        curves.append(Curve(confidence, accuracy, colours[name], thick=True))
+        legend.append({"name": f"{name}, calibration error", "colour": colours[name], "last": calibration["ece"]})
     svg = line_plot(
         curves,
-        x_label="share of the heat map near the best match",
-        y_label="share of true matches there",
+        x_label="probability near the best match",
+        y_label="share of true matches near it",
         x_range=(0.0, 1.0),
         y_range=(0, 1.02),
     )
     caption = (
-        f"Near is within {radius:.0%} of the image's diagonal. Above the dashed line a network knows more than "
-        "it says, below it promises too much."
+        f"Near means within {radius:.0%} of the image's diagonal. Above the dashed line a network is underconfident, "
+        "below it overconfident."
     )
-    return {"title": "Is the heat map's probability true?", "svg": svg, "legend": legend, "caption": caption}
+    return {"title": "Calibration of the heat map", "svg": svg, "legend": legend, "caption": caption}

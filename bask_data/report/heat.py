@@ -1,4 +1,4 @@
-"""The report's heat maps: where networks find points in other views, and where these truly are."""
+"""The section on heat maps: keypoints that networks find in other views, compared with ground truth."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from bask_data.kinds import Camera, Pick, Recording, ReferenceKeypoints
 from bask_data.report.chosen import Chosen, Part, per_item
 
 N_SCANS = 3
-"""Scans whose points are looked for: the first ones of each set of objects."""
+"""Scans whose picks are looked for, at most."""
 N_HEAT_POINTS, N_HEAT_POINTS_OF_MANY = 5, 2
-"""Points looked for, of one scan and of each of several; each has a row for every network."""
+"""Keypoints shown of a single scan, and of each of several; each has a row for every network."""
 N_HEAT_FRAMES = 4
-"""Columns of the table of heat maps, at most."""
+"""Frames shown, the columns of the table of heat maps, at most."""
 N_LOOKED_AT = 24
-"""Frames of each camera among which those that show the points are looked for."""
+"""Frames of each camera that are searched for those that show the keypoints."""
 HEAT_TILE, CROP = 280, 200
-"""Pixels of width: of a heat map, and of the place a point was picked in."""
+"""Widths in pixels: of a heat map, and of the crop around a pick."""
 
 
 def heat_maps(chosen: Chosen) -> list[Part]:
-    """Where each network finds some points in other views, and where they truly are; held-out scenes come first."""
+    """Heat maps of some keypoints by each network, with ground truth; held-out scenes come first."""
     dataset = chosen.dataset
     if not chosen.networks:
-        why = "the descriptor network they were described with is not there"
-        there = any(find(dataset, ReferenceKeypoints, "", variant) for variant in chosen.variants)
-        return [{"title": "", "why_not": why}] if there else []
+        reason = "the descriptor network of the reference keypoints is missing"
+        has_reference = any(find(dataset, ReferenceKeypoints, "", variant) for variant in chosen.variants)
+        return [{"title": "", "why_not": reason}] if has_reference else []
     picks = reference_points(dataset, [*chosen.networks, *chosen.variants])
     if not picks:
         return []
@@ -54,14 +54,14 @@ def heat_maps(chosen: Chosen) -> list[Part]:
             failed.append({"title": variant, "error": what_is_wrong(error)})
     described = np.all([finder.described for finder in finders.values()], axis=0) if finders else np.zeros(0, bool)
     if finders and not described.any():
-        failed.append({"title": "", "why_not": "the points were picked in images that this dataset does not hold"})
+        failed.append({"title": "", "why_not": "the keypoints were picked in frames that are not in this dataset"})
     searches = _searches(chosen, picks, described) if described.any() else {}
     return [*failed, *per_item(list(searches), lambda title: _heat_part(chosen, searches[title], picks, finders))]
 
 
 @dataclass(frozen=True)
 class _Search:
-    """A recording, what it is, and the points that are looked for in it."""
+    """A recording with its title, and the keypoints that are looked for in it."""
 
     recording: Recording
     title: str
@@ -70,9 +70,9 @@ class _Search:
 
 
 def _searches(chosen: Chosen, picks: Sequence[Pick], described: np.ndarray) -> dict[str, _Search]:
-    """What to look for where: in a held-out scene, in the scan the points were picked in, in a demonstration.
+    """Searches in held-out scenes, in the scans that keypoints were picked in, and in a demonstration.
 
-    Points of several scans show other objects each, so each need a held-out scene of their own, and are fewer.
+    Keypoints of several scans are on different objects: each scan gets its own held-out scene, and fewer keypoints.
     """
     scans = list(dict.fromkeys(pick.recording for pick in picks))[:N_SCANS]
     n_points = N_HEAT_POINTS if len(scans) == 1 else N_HEAT_POINTS_OF_MANY
@@ -80,19 +80,19 @@ def _searches(chosen: Chosen, picks: Sequence[Pick], described: np.ndarray) -> d
     if len(scans) == 1 or not any(name for name, _, _ in wanted):
         wanted += [(scan, "the scan they were picked in", scan) for scan in scans]
     wanted += [(name, "a demonstration", scans[0]) for name in chosen.demonstrations[:1]]
-    found = {}
-    for name, what, scan in wanted:
+    searches = {}
+    for name, title, scan in wanted:
         recording, places = find_recording(chosen.dataset, name), TruePlaces(chosen.dataset, picks, name)
         mine = described & np.array([pick.recording == scan for pick in picks])
         indices = _one_of_each_object(picks, places.absent, mine, n_points)
         if recording is not None and indices:
-            found[f"{name}: {what}"] = _Search(recording, what, places, indices)
-    return found
+            searches[f"{name}: {title}"] = _Search(recording, title, places, indices)
+    return searches
 
 
 def _held_out_scene(chosen: Chosen, picks: Sequence[Pick], scan: str, is_only: bool) -> str:
-    """The first in which it is known where a point of the scan is, for other tasks' objects are nowhere to be found; or
-    else, for the only scan, the first. Empty if there is none."""
+    """The first held-out scene with ground truth for a keypoint of the scan, as others may lack its objects; else, for
+    the only scan, the first held-out scene. Empty without any."""
     dataset, mine = chosen.dataset, [pick for pick in picks if pick.recording == scan]
     splits = dataset.file.splits
     held_out = [name for name in (*splits.test, *splits.validation) if name != scan and find_recording(dataset, name)]
@@ -140,8 +140,8 @@ def _heat_part(chosen: Chosen, search: _Search, picks: Sequence[Pick], finders: 
 def _frames_that_show(
     recording: Recording, places: TruePlaces, picks: Sequence[Pick], indices: Sequence[int], n_frames: int
 ) -> tuple[Camera, list[int]]:
-    """The camera that sees the points most often, and frames spread over those that show most of them, but not the
-    ones they were picked in; of a recording in which no place is known, any."""
+    """The camera that sees the keypoints most often, and frames spread over those that show most of them, except those
+    they were picked in; any frames where no ground truth is known."""
     own = {(pick.camera, pick.frame) for pick in picks if pick.recording == recording.path.name}
     best: tuple[int, Camera, list[int]] | None = None
     for camera in recording.cameras:
@@ -173,7 +173,7 @@ def _heat_tile(
 
 
 def _one_of_each_object(picks: Sequence[Pick], absent: Sequence[bool], among: np.ndarray, n: int) -> list[int]:
-    """A few points, taking turns between the objects they were picked on; those that cannot be found come last."""
+    """Indices of n keypoints, alternating between the objects they were picked on; absent objects come last."""
     turns: dict[int, int] = {}
     order = []
     for i, pick in enumerate(picks):

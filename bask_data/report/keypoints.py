@@ -1,4 +1,4 @@
-"""The sections on keypoints: where they were picked, and where they were tracked."""
+"""The sections on keypoints: picks and tracks."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from bask_data.report.chosen import N_CAMERAS, N_ROWS, PICTURE, Chosen, Part, pe
 
 
 def reference(chosen: Chosen) -> list[Part]:
-    """Where each keypoint was picked."""
+    """The frames in which the keypoints of each variant were picked."""
 
     def part(variant: str) -> Part | None:
-        found = find(chosen.dataset, ReferenceKeypoints, "", variant)
-        if found is None:
+        references = find(chosen.dataset, ReferenceKeypoints, "", variant)
+        if references is None:
             return None
-        colours = draw.palette(len(found.picks))
+        colours = draw.palette(len(references.picks))
         by_frame: dict[tuple[str, str, int], list[int]] = {}
-        for i, pick in enumerate(found.picks):
+        for i, pick in enumerate(references.picks):
             by_frame.setdefault((pick.recording, pick.camera, pick.frame), []).append(i)
         tiles: list[Part] = []
         unseen = []
         for (recording, camera, i_frame), indices in by_frame.items():
-            image = frame_of(chosen.dataset, found.picks[indices[0]])
+            image = frame_of(chosen.dataset, references.picks[indices[0]])
             if image is None:
                 unseen.append(f"{recording}, {camera}, frame {i_frame}")
             elif len(tiles) < 2 * chosen.n_frames:
-                marks = [_pick_mark(found.picks[i], i, colours[i]) for i in indices]
+                marks = [_pick_mark(references.picks[i], i, colours[i]) for i in indices]
                 uri = draw.jpeg_uri(draw.marks_picture(image, marks, 640 if len(by_frame) < 3 else PICTURE))
                 tiles.append({"uri": uri, "text": f"{recording}, {camera}, frame {i_frame}"})
         return {
@@ -43,9 +43,9 @@ def reference(chosen: Chosen) -> list[Part]:
             "unseen": unseen,
             "rows": [
                 {"number": i + 1, "colour": draw.css(colours[i]), **pick.model_dump()}
-                for i, pick in enumerate(found.picks[: 2 * N_ROWS])
+                for i, pick in enumerate(references.picks[: 2 * N_ROWS])
             ],
-            "n_rows_left_out": max(len(found.picks) - 2 * N_ROWS, 0),
+            "n_rows_left_out": max(len(references.picks) - 2 * N_ROWS, 0),
         }
 
     return untitled_if_alone(per_item(chosen.variants, part))
@@ -56,7 +56,7 @@ def _pick_mark(pick: Pick, i: int, colour: draw.Colour) -> draw.Mark:
 
 
 def tracks(chosen: Chosen) -> list[Part]:
-    """Keypoints in the frames of a demonstration, how certain and how right they are."""
+    """Keypoints in the frames of each demonstration, with their spread and their error."""
     labels = {f"{name}/{variant}": (name, variant, scored) for name, variant, scored in chosen.tracks}
 
     def part(label: str) -> Part:
@@ -80,12 +80,12 @@ def tracks(chosen: Chosen) -> list[Part]:
         }
 
     parts = per_item(list(labels), part)
-    compared = [{"title": one["title"], **one["numbers"]} for one in parts if "numbers" in one]
+    compared = [{"title": part["title"], **part["numbers"]} for part in parts if "numbers" in part]
     return [{"title": "", "compared": compared}, *parts] if len(compared) > 1 else parts
 
 
 def _strips(scored: TrackScores, colours: list[draw.Colour], n_frames: int) -> list[Part]:
-    """A strip of frames per camera, with keypoints, trails, one-sigma ellipses and true places."""
+    """A strip of frames per camera, with keypoints, trails, one-sigma ellipses and ground truth."""
     recording = scored.recording
     if recording is None:
         return []
@@ -108,26 +108,26 @@ def _track_plots(scored: TrackScores, colours: list[draw.Colour]) -> list[Part]:
     if not scored.why_no_error():
         plots.append(
             {
-                "title": "Error against the truth",
+                "title": "Error",
                 "svg": _over_time(scored.error * 1000, colours, "error, mm"),
-                "caption": "Distance between each keypoint's mean and its true place; the thick line is their median.",
+                "caption": "Distance between each keypoint's mean and ground truth; the thick line is the median.",
             }
         )
     plots.append(
         {
             "title": "Spread",
             "svg": _over_time(scored.spread * 1000, colours, "spread, mm"),
-            "caption": "Root of the covariance's trace: how unsure the filter is; the thick line is the median.",
+            "caption": "Square root of the covariance's trace, the filter's uncertainty; the thick line is the median.",
         }
     )
     if not scored.why_no_share():
         plots.append(
             {
-                "title": "On the right object",
+                "title": "On the correct object",
                 "svg": _share_plot(scored),
                 "caption": "Share of the keypoints whose object is in view that lie on it (solid) or within "
                 f"{TOLERANCE_PX:g} px of it (dashed), by the labels. "
-                "Orange: what pixels drawn blindly would reach.",
+                "Orange: chance level.",
             }
         )
     return plots
@@ -149,9 +149,9 @@ def _share_plot(scored: TrackScores) -> str:
     t = np.arange(len(per_frame))
     return line_plot(
         [
-            Curve(t, np.array([one.chance for one in per_frame]), "#d08020", dashed=True),
-            Curve(t, np.array([one.near for one in per_frame]), "", dashed=True),
-            Curve(t, np.array([one.right for one in per_frame]), "", thick=True),
+            Curve(t, np.array([shares.chance for shares in per_frame]), "#d08020", dashed=True),
+            Curve(t, np.array([shares.near for shares in per_frame]), "", dashed=True),
+            Curve(t, np.array([shares.right for shares in per_frame]), "", thick=True),
         ],
         x_label="frame",
         y_label="share",

@@ -17,21 +17,21 @@ def training(chosen: Chosen) -> list[Part]:
     """Loss terms and validation metrics over the steps."""
 
     def part(variant: str) -> Part:
-        found = chosen.networks[variant]
-        numbers = descriptor_figures(found)
+        descriptor = chosen.networks[variant]
+        numbers = descriptor_figures(descriptor)
         marked = numbers["step"] if numbers["chosen_by"] is not None else None
         return {
             "title": variant,
             "numbers": numbers,
             "metrics": numbers["metrics"],
-            "plots": _curve_plots(found, marked),
+            "plots": _curve_plots(descriptor, marked),
         }
 
     return untitled_if_alone(per_item(list(chosen.networks), part))
 
 
 def _curve_plots(descriptor: DescriptorNet, marked_step: int | None) -> list[Part]:
-    """A plot per family of terms that share a scale, with a line where the weights are from."""
+    """A plot per family of terms that share a scale, with a line at the step of the saved weights."""
     table = descriptor.curve()
     step, names, value = table["step"].to_numpy(), np.array(table["name"].to_pylist(), dtype=object), table["value"]
     values = value.to_numpy()
@@ -68,7 +68,7 @@ def _family(name: str) -> str:
 
 
 def _curve(x: np.ndarray, y: np.ndarray, colour: str) -> Any:
-    # A long curve is noise upon a trend: what is drawn are means of short stretches.
+    # Long curves are noisy, so means over short stretches are drawn.
     stride = max(len(x) // 400, 1)
     n = len(x) // stride * stride
     return Curve(

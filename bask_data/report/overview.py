@@ -1,4 +1,4 @@
-"""The top of the page: what was made, the headline figures, what is missing and what is not shown."""
+"""The top of the page: artifacts, headline figures, what is missing and what is not shown."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ A = TypeVar("A", bound=Artifact)
 
 
 def overview(chosen: Chosen) -> Part:
-    """What was made, the headline figures, what is missing and what is not shown."""
+    """Artifacts, headline figures, what is missing and what is not shown."""
     artifacts = made(chosen.dataset)
     return {
         "headline": _headline(chosen),
         "artifacts": artifacts[: 3 * N_ROWS],
         "n_artifacts_left_out": max(len(artifacts) - 3 * N_ROWS, 0),
-        "seconds": sum(one.seconds or 0.0 for one in artifacts),
-        "n_without_record": sum(one.seconds is None for one in artifacts),
-        "bytes": sum(one.bytes for one in artifacts),
+        "seconds": sum(artifact.seconds or 0.0 for artifact in artifacts),
+        "n_without_record": sum(artifact.seconds is None for artifact in artifacts),
+        "bytes": sum(artifact.bytes for artifact in artifacts),
         "missing": _missing(chosen),
         "left_out": _left_out(chosen),
     }
@@ -47,21 +47,21 @@ def _left_out(chosen: Chosen) -> list[str]:
         ("demonstrations", chosen.dataset.items("demonstration"), chosen.demonstrations),
     ]
     return [
-        f"{len(everything)} {sort}: the first {len(shown)} are shown, {len(everything) - len(shown)} are left out, "
-        "and the figures are of those shown."
+        f"{len(everything)} {sort}: the first {len(shown)} are shown, {len(everything) - len(shown)} are left out; "
+        "the figures are for those shown."
         for sort, everything, shown in sorts
         if len(shown) < len(everything)
     ]
 
 
 def _missing(chosen: Chosen) -> list[str]:
-    """What could be there and is not, in sentences."""
-    dataset, found = chosen.dataset, []
+    """Missing frames, ground truth and artifacts, in sentences."""
+    dataset, sentences = chosen.dataset, []
     for name in [*chosen.scenes, *chosen.demonstrations]:
         if find_recording(dataset, name) is None:
-            found.append(f"{name}: its frames are not in the dataset.")
+            sentences.append(f"{name}: its frames are not in the dataset.")
         if find_truth(dataset, name) is None:
-            found.append(f"No ground truth for {name}: nothing on this page says how right its results are.")
+            sentences.append(f"No ground truth for {name}: no errors can be measured.")
     of_scenes: list[tuple[type[Artifact], str]] = [
         (Reconstruction, "reconstruction"),
         (ObjectInstances, "objects"),
@@ -75,26 +75,26 @@ def _missing(chosen: Chosen) -> list[str]:
     for kind, what in of_scenes:
         without = [name for name in chosen.scenes if not find(dataset, kind, name)]
         if without:
-            found.append(f"No {what} yet: {', '.join(without)}.")
+            sentences.append(f"No {what} yet: {', '.join(without)}.")
     if not chosen.scenes:
-        found.append("No scan.")
+        sentences.append("No scan.")
     for kind, what in of_dataset:
         if not any(find(dataset, kind, "", variant) for variant in chosen.variants):
-            found.append(f"No {what} yet.")
+            sentences.append(f"No {what} yet.")
     without = [
         name
         for name in chosen.demonstrations
         if not any(find(dataset, KeypointTrack, name, variant) for variant in chosen.variants)
     ]
     if without:
-        found.append(f"No keypoints yet: {', '.join(without)}.")
+        sentences.append(f"No keypoints yet: {', '.join(without)}.")
     if not chosen.demonstrations:
-        found.append("No demonstration, so there is nothing to track keypoints in.")
-    return found
+        sentences.append("No demonstration, so there is nothing to track keypoints in.")
+    return sentences
 
 
 def _headline(chosen: Chosen) -> list[tuple[str, str]]:
-    """A handful of (value, what it is)."""
+    """Headline figures (value, caption)."""
     dataset, rows = chosen.dataset, []
     n_frames = sum(camera.n_frames for name in chosen.scenes for camera in _cameras(dataset, name))
     if n_frames:
@@ -102,7 +102,7 @@ def _headline(chosen: Chosen) -> list[tuple[str, str]]:
     n_objects = [len(o.instances) for name in chosen.scenes if (o := _readable(find(dataset, ObjectInstances, name)))]
     if n_objects:
         rows.append((f"{sum(n_objects)}", "objects found"))
-    ious = [label["iou"] for one in chosen.masks.values() for label in one.get("labels") or []]
+    ious = [label["iou"] for figures in chosen.masks.values() for label in figures.get("labels") or []]
     if ious:
         rows.append((f"{np.median(ious):.2f}", f"median mask IoU of {count(len(ious), 'labelled object')}"))
     n_matches = [
@@ -110,28 +110,30 @@ def _headline(chosen: Chosen) -> list[tuple[str, str]]:
     ]
     if n_matches:
         rows.append((f"{sum(n_matches):,}", "matches between views"))
-    for variant, told in chosen.measured.descriptors().get("variants", {}).items():
-        found = told["all"]["pck_4"]
-        if found is not None:
-            rows.append((percent(found), f"of true matches found within 4 % of the image's diagonal by {variant}"))
+    for variant, figures in chosen.measured.descriptors().get("variants", {}).items():
+        pck = figures["all"]["pck_4"]
+        if pck is not None:
+            rows.append((percent(pck), f"of true matches found within 4 % of the image's diagonal by {variant}"))
     for name, variant, scored in chosen.tracks:
         if variant != chosen.tracks[0][1]:  # Other variants are compared in their own section.
             continue
         try:
-            found = figures_of_track(scored)
-        except UNREADABLE:  # Its own section says so.
+            figures = figures_of_track(scored)
+        except UNREADABLE:  # Its own section reports it.
             continue
         where = name if variant == "main" else f"{name} ({variant})"
-        rows.append((str(found["n_keypoints"]), f"keypoints tracked over {found['n_frames']} frames of {where}"))
-        if found["error_m"].n:
-            rows.append((millimetres(found["error_m"].median), f"median keypoint error in {where}"))
-        if found["on_object"].n:
-            rows.append((percent(found["on_object"].right), f"of keypoint positions on the right object in {where}"))
+        rows.append((str(figures["n_keypoints"]), f"keypoints tracked over {figures['n_frames']} frames of {where}"))
+        if figures["error_m"].n:
+            rows.append((millimetres(figures["error_m"].median), f"median keypoint error in {where}"))
+        if figures["on_object"].n:
+            rows.append(
+                (percent(figures["on_object"].right), f"of keypoint positions on the correct object in {where}")
+            )
     return rows
 
 
 def _readable(artifact: A | None) -> A | None:
-    """The artifact if its metadata can be read: the headline leaves out what its own section will complain about."""
+    """The artifact if its metadata can be read; its own section reports it otherwise."""
     if artifact is None:
         return None
     try:

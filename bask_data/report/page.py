@@ -19,9 +19,9 @@ from bask_data.report.words import FILTERS
 
 TEMPLATE = "page.html.j2"
 MOST_PAGE_BYTES = 8_000_000
-"""A larger page cannot be sent around."""
+"""Size of the page, at most, so that it can be sent by mail."""
 FRAMES_TRIED = (8, 4, 2)
-"""Frames of each camera: what is tried, in this order, to stay below `MOST_PAGE_BYTES`."""
+"""Frames of each camera, tried in this order until the page fits into `MOST_PAGE_BYTES`."""
 
 
 def render(dataset: Dataset, measured: Measured) -> str:
@@ -56,19 +56,19 @@ SECTIONS: list[tuple[str, str, Callable[[Chosen], Any]]] = [
     ("frames", "Input frames", views.frames),
     ("reconstruction", "Reconstruction", surfaces.reconstruction),
     ("objects", "Objects", surfaces.objects),
-    ("masks", "Masks over frames", views.masks),
+    ("masks", "Visible masks", views.masks),
     ("matches", "Matches between two views", views.matches),
     ("training", "Training", networks.training),
-    ("evaluation", "How well networks find true matches", evaluated.evaluation),
+    ("evaluation", "Evaluation of descriptor networks", evaluated.evaluation),
     ("reference", "Reference keypoints", keypoints.reference),
-    ("heat", "Correspondence heat maps", heat.heat_maps),
-    ("keypoints", "Keypoints tracked", keypoints.tracks),
-    ("study", "How right tracked keypoints are", study.study),
+    ("heat", "Heat maps", heat.heat_maps),
+    ("keypoints", "Tracked keypoints", keypoints.tracks),
+    ("study", "Accuracy of tracked keypoints", study.study),
 ]
 
 
 def _built(name: str, title: str, make: Callable[[Chosen], Any], chosen: Chosen) -> Any:
-    """A section's parts, or None without any; an artifact that cannot be read says so in place of its pictures."""
+    """A section with its parts, or None without any; an unreadable artifact becomes a part with the error."""
     try:
         parts = make(chosen)
     except UNREADABLE as error:

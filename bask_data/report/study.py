@@ -1,7 +1,8 @@
-"""The keypoint study: its figures as the paper draws them, in files to show elsewhere, and the report's section."""
+"""The keypoint study: figures like the paper's as PNG files, and the report's section."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,45 +19,45 @@ from bask_data.evaluation.lookup import find_recording
 from bask_data.report.chosen import Chosen, Part
 
 COLOURS = ("#a0673a", "#7fb2e5", "#2f6db5", "#e08a1e", "#2f9e5b", "#8a5fb5")
-"""Of methods; the first, brown, is the base network's."""
+"""Colours of methods; the first, brown, is that of the base DON."""
 PHASE_COLOURS = {"visible": "#dcefe2", "occluded": "#f6e2c2", "out of view": "#dcdce6", "not seen yet": "#f4f4f6"}
 TRUTH = "#e02020"
 LABELS = {
     "apart": "Distance between mean and mode, cm",
-    "error": "Distance to the truth, cm",
+    "error": "Distance to ground truth, cm",
 }
 STUDY_TILE = 256
-"""Half the pixels of width of the picture of reference positions."""
+"""Half the width of the picture of reference positions, pixels."""
 PAPER_ALPHA = 4.0
 """The paper's temperature, p(z) = exp(-4 z), von Hartz et al. 2023, Sec. III-B: drawn solid, others dashed."""
 DPI = 150
-"""Pixels an inch of the PNG files: a figure 12 inches wide is sharp on a slide."""
+"""Pixels per inch of the PNG files: a figure 12 inches wide is sharp on a slide."""
 GROUP_COLOURS = {"near": "#2f9e5b", "objects": "#e08a1e", "background": "#8b8b95"}
 GROUP_NAMES = {"near": "around the keypoint", "objects": "elsewhere on objects", "background": "background"}
 
 
-def write_pictures(dataset: Dataset, found: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Draw a study into PNG files: for each set of objects errors over time and examples, and the likelihood model.
+def write_pictures(dataset: Dataset, result: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Draw a study as PNG files: for each set of objects, errors over time with examples, and the likelihood model.
 
     Args:
-        found: of `evaluated_keypoints`.
+        result: of `evaluated_keypoints`.
 
     Returns:
         The files.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    made = []
-    colours = method_colours(found)
-    for name, group in found["groups"].items():
-        made.append(_saved(_study_figure(dataset, group, colours), folder / f"{name}.png"))
-        made.append(_saved(_likelihood_figure(found, group), folder / f"{name}-likelihood.png"))
-    return made
+    files = []
+    colours = method_colours(result)
+    for name, group in result["groups"].items():
+        files.append(_saved(_study_figure(dataset, group, colours), folder / f"{name}.png"))
+        files.append(_saved(_likelihood_figure(result, group), folder / f"{name}-likelihood.png"))
+    return files
 
 
-def method_colours(found: Mapping[str, Any]) -> dict[str, str]:
-    """A colour for each method; those of single frames of other networks come first."""
-    names = [one["name"] for one in found["methods"]]
-    n_others = sum(one["variant"] != found["methods"][-1]["variant"] for one in found["methods"])
+def method_colours(result: Mapping[str, Any]) -> dict[str, str]:
+    """A colour for each method; other networks than that of the last method come first."""
+    names = [method["name"] for method in result["methods"]]
+    n_others = sum(method["variant"] != result["methods"][-1]["variant"] for method in result["methods"])
     others = [COLOURS[0], *COLOURS[5:]]
     return {
         name: others[i % len(others)] if i < n_others else COLOURS[1 + (i - n_others) % (len(COLOURS) - 1)]
@@ -79,11 +80,11 @@ def _saved(figure: Any, file: Path) -> Path:
 
 
 def _study_figure(dataset: Dataset, group: Mapping[str, Any], colours: Mapping[str, str]) -> Any:
-    """Reference positions, multimodality and error over time, and below them a row of an example for each object."""
+    """Reference positions, multimodality and error over time, and below them a row of frames for each object."""
     from matplotlib.figure import Figure
 
     examples = group["examples"]
-    n_tiles = max((len(one["frames"]) for one in examples), default=1)
+    n_tiles = max((len(example["frames"]) for example in examples), default=1)
     width = 12.0
     figure = Figure(figsize=(width, 4.1 + len(examples) * (width / n_tiles + 0.25)), layout="constrained")
     heights = [4.1, *[width / n_tiles + 0.25] * len(examples)]
@@ -100,7 +101,7 @@ def _study_figure(dataset: Dataset, group: Mapping[str, Any], colours: Mapping[s
 
 
 def draw_over_time(axes: Any, group: Mapping[str, Any], what: str, colours: Mapping[str, str]) -> None:
-    """Mean and standard deviation of each method from first to last frame, over what the cameras see of the points."""
+    """Draw each method's mean and standard deviation over time, on the shares of visible and occluded keypoints."""
     moments = np.array(group["moments"])
     share = np.zeros(len(moments))
     for phase, colour in PHASE_COLOURS.items():
@@ -117,8 +118,9 @@ def draw_over_time(axes: Any, group: Mapping[str, Any], what: str, colours: Mapp
         )
         share = above
     highest = 0.0
-    for name, told in group["methods"].items():
-        mean, deviation = (100 * numbers(told["over_time"][f"{what}_{one}"]) for one in ("mean", "deviation"))
+    for name, figures in group["methods"].items():
+        over_time = figures["over_time"]
+        mean, deviation = (100 * numbers(over_time[f"{what}_{moment}"]) for moment in ("mean", "deviation"))
         axes.fill_between(
             moments, np.maximum(mean - deviation, 0), mean + deviation, color=colours[name], alpha=0.13, linewidth=0
         )
@@ -126,21 +128,21 @@ def draw_over_time(axes: Any, group: Mapping[str, Any], what: str, colours: Mapp
         highest = max(highest, float(np.nanmax(mean, initial=0.0)))
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1.25 * highest or 1.0)
-    axes.set_xlabel("from the first frame to the last", fontsize=8)
+    axes.set_xlabel("time, from the first frame to the last", fontsize=8)
     axes.set_title(LABELS[what], fontsize=9)
     axes.tick_params(labelsize=8)
 
 
 def _draw_reference(axes: Any, dataset: Dataset, group: Mapping[str, Any]) -> None:
-    """The image that most of the keypoints were picked in."""
+    """Draw the image that most of the keypoints were picked in."""
     picks = group["keypoints"]
-    frames = [(one["recording"], one["camera"], one["frame"]) for one in picks]
+    frames = [(pick["recording"], pick["camera"], pick["frame"]) for pick in picks]
     recording, camera, i_frame = max(frames, key=frames.count)
     image = _frame(dataset, recording, camera, i_frame)
     colours = palette(len(picks))
     marks = [
-        Mark(i, np.array([one["u"], one["v"]]), colours[i])
-        for i, (one, frame) in enumerate(zip(picks, frames, strict=True))
+        Mark(i, np.array([pick["u"], pick["v"]]), colours[i])
+        for i, (pick, frame) in enumerate(zip(picks, frames, strict=True))
         if frame == (recording, camera, i_frame)
     ]
     axes.imshow(marks_picture(image, marks, 2 * STUDY_TILE))
@@ -151,11 +153,11 @@ def _draw_reference(axes: Any, dataset: Dataset, group: Mapping[str, Any]) -> No
 def _draw_example(
     row: Any, dataset: Dataset, group: Mapping[str, Any], example: Mapping[str, Any], colours: Mapping[str, str]
 ) -> None:
-    """A keypoint in some frames of a demonstration: the truth, and where each method has it."""
+    """Draw a keypoint in some frames of a demonstration: ground truth, and the position by each method."""
     tiles = np.atleast_1d(row.subplots(1, len(example["frames"])))
     keypoint = group["keypoints"][example["keypoint"]]["name"]
     row.suptitle(
-        f"{keypoint} in {example['demonstration']}, {example['camera']} camera. Red: ground truth (hollow: hidden)",
+        f"{keypoint} in {example['demonstration']}, {example['camera']} camera. Red: ground truth (hollow: occluded)",
         fontsize=8,
         x=0.01,
         ha="left",
@@ -190,37 +192,44 @@ def _draw_example(
         axes.set_axis_off()
 
 
+def remeasured(dataset: Dataset) -> str:
+    """The command that measures a study again."""
+    return f"bask-data evaluate keypoints {shlex.quote(str(dataset.root))}"
+
+
 def _frame(dataset: Dataset, recording: str, camera: str, i_frame: int) -> np.ndarray:
-    found = find_recording(dataset, recording)
-    if found is None or camera not in found.camera_names or not 0 <= i_frame < found.camera(camera).n_frames:
+    source = find_recording(dataset, recording)
+    if source is None or camera not in source.camera_names or not 0 <= i_frame < source.camera(camera).n_frames:
         where = f"frame {i_frame} of {camera} in {recording}"
-        raise BadData(dataset.root, where, expected="the frame the study was made with", got="none")
-    return found.camera(camera).rgb(i_frame)
+        raise BadData(
+            dataset.root, where, expected="the frame that the study used", got="none", fix=remeasured(dataset)
+        )
+    return source.camera(camera).rgb(i_frame)
 
 
 # The likelihood model ------------------------------------------------------------------------------------------------
 
 
-def _likelihood_figure(found: Mapping[str, Any], group: Mapping[str, Any]) -> Any:
-    """For each network a log-log histogram of descriptor distances with p(z) over it, and a distance map in bins."""
+def _likelihood_figure(result: Mapping[str, Any], group: Mapping[str, Any]) -> Any:
+    """For each network a log-log histogram of descriptor distances with p(z), and a distance map in bins."""
     from matplotlib.figure import Figure
 
     variants = list(group["distances"]["counts"])
     figure = Figure(figsize=(9.0, 3.2 * len(variants)), layout="constrained")
     rows = figure.subplots(len(variants), 2, width_ratios=[2.4, 1.0], squeeze=False)
     for (left, right), variant in zip(rows, variants, strict=True):
-        draw_likelihood(left, found, group, variant)
+        draw_likelihood(left, result, group, variant)
         _draw_map(right, group, variant)
     return figure
 
 
-def draw_likelihood(axes: Any, found: Mapping[str, Any], group: Mapping[str, Any], variant: str) -> None:
-    """Pixels by descriptor distance, told apart by what they show, and the likelihood exp(-alpha z)."""
+def draw_likelihood(axes: Any, result: Mapping[str, Any], group: Mapping[str, Any], variant: str) -> None:
+    """Draw histograms of descriptor distances by what the pixels show, and the likelihood exp(-alpha z)."""
     from matplotlib.ticker import NullFormatter
 
     edges = np.array(group["distances"]["edges"])
-    counts = {name: np.array(one) for name, one in group["distances"]["counts"][variant].items()}
-    total = max(sum(int(one.sum()) for one in counts.values()), 1)
+    counts = {name: np.array(count) for name, count in group["distances"]["counts"][variant].items()}
+    total = max(sum(int(count.sum()) for count in counts.values()), 1)
     for name, count in counts.items():
         share = np.where(count > 0, count / total, np.nan)
         axes.stairs(np.nan_to_num(share), edges, color=GROUP_COLOURS[name], label=GROUP_NAMES[name], linewidth=1.5)
@@ -231,14 +240,14 @@ def draw_likelihood(axes: Any, found: Mapping[str, Any], group: Mapping[str, Any
         axes.set_xlim(filled[0], 1.3 * filled[-1])
     axes.set_ylim(1e-7, 1.5)
     first, last = axes.get_xlim()
-    for alpha in sorted({one["settings"]["alpha"] for one in found["methods"] if one["variant"] == variant}):
+    for alpha in sorted({method["settings"]["alpha"] for method in result["methods"] if method["variant"] == variant}):
         z = np.geomspace(first, last, 200)
         axes.plot(z, np.exp(-alpha * z), color="black", linewidth=1.2, linestyle="-" if alpha == PAPER_ALPHA else "--")
         at = min(np.log(1e3) / alpha, 0.7 * last)
         axes.annotate(f"exp(-{alpha:.3g} z)", (at, np.exp(-alpha * at)), fontsize=7, rotation=-50, va="bottom")
-    margins = found["margins"][variant] or {}
+    margins = result["margins"][variant] or {}
     for margin in dict.fromkeys(margins.values()):
-        names = " = ".join(f"M {name}" for name, one in margins.items() if one == margin)
+        names = " = ".join(f"M {name}" for name, value in margins.items() if value == margin)
         axes.axvline(margin, color="black", linewidth=0.8, linestyle=":")
         axes.annotate(names, (margin, 0.6), fontsize=7, rotation=90, va="top", ha="right")
     axes.xaxis.set_minor_formatter(NullFormatter())
@@ -250,7 +259,7 @@ def draw_likelihood(axes: Any, found: Mapping[str, Any], group: Mapping[str, Any
 
 
 def _draw_map(axes: Any, group: Mapping[str, Any], variant: str) -> None:
-    """The example's distance map in bins of equal factors."""
+    """Draw the example's distance map in logarithmic bins."""
     from matplotlib.colors import BoundaryNorm
 
     axes.set_axis_off()
@@ -259,7 +268,7 @@ def _draw_map(axes: Any, group: Mapping[str, Any], variant: str) -> None:
     example = group["examples"][0]
     z = np.array([numbers(row) for row in example["first_map"][variant]])
     least = max(float(np.nanmin(z)), 1e-3)
-    # A network that sees nothing has one distance everywhere.
+    # A network that distinguishes nothing has one distance everywhere.
     bins = np.geomspace(least, max(1.001 * float(np.nanmax(z)), 2 * least), 9)
     drawn = axes.imshow(z, cmap="viridis_r", norm=BoundaryNorm(bins, 256), interpolation="nearest")
     axes.figure.colorbar(drawn, ax=axes, shrink=0.85, format="%.2f").ax.tick_params(labelsize=6)
@@ -271,40 +280,43 @@ def _draw_map(axes: Any, group: Mapping[str, Any], variant: str) -> None:
 
 
 def study(chosen: Chosen) -> list[Part]:
-    """What the dataset's last study found, for each set of objects: figures by what the cameras see, and over time."""
+    """The dataset's last study, for each set of objects: figures by visibility, and over time."""
     file = chosen.dataset.root / FILE
     if not file.exists():
         return []
     try:
-        found: Any = read_json(file)
-        colours, is_stale = method_colours(found), not is_current(chosen.dataset, found)
-        return [_study_part(found, name, colours, is_stale) for name in found["groups"]]
+        result: Any = read_json(file)
+        colours, is_stale = method_colours(result), not is_current(chosen.dataset, result)
+        return [_study_part(result, name, colours, is_stale) for name in result["groups"]]
     except (LookupError, TypeError, ValueError, AttributeError) as error:
-        expected = "what `bask-data evaluate keypoints` found"
-        fix = f"bask-data evaluate keypoints {chosen.dataset.root}"
-        raise BadData(file, "", expected=expected, got=f"{type(error).__name__}: {error}", fix=fix) from error
+        expected = "the result of `bask-data evaluate keypoints`"
+        raise BadData(
+            file, "", expected=expected, got=f"{type(error).__name__}: {error}", fix=remeasured(chosen.dataset)
+        ) from error
 
 
-def _study_part(found: Mapping[str, Any], name: str, colours: Mapping[str, str], is_stale: bool) -> Part:
-    group = found["groups"][name]
+def _study_part(result: Mapping[str, Any], name: str, colours: Mapping[str, str], is_stale: bool) -> Part:
+    group = result["groups"][name]
     methods = group["methods"]
     first = next(iter(methods.values()))
     return {
         "title": name,
         "is_stale": is_stale,
-        "settings": found["settings"],
+        "settings": result["settings"],
         "n_keypoints": len(group["keypoints"]),
         "demonstrations": list(group["demonstrations"]),
-        "phases": [{"name": phase, "n": told["n"] + told["n_unknown"]} for phase, told in first["error"].items()],
+        "phases": [
+            {"name": phase, "n": figures["n"] + figures["n_unknown"]} for phase, figures in first["error"].items()
+        ],
         "rows": [
             {
                 "name": method,
                 "colour": colours[method],
-                "cells": list(told["error"].values()),
-                "close": told["error"]["all"]["close"],
-                "apart": told["apart"]["all"]["mean"],
+                "cells": list(figures["error"].values()),
+                "close": figures["error"]["all"]["close"],
+                "apart": figures["apart"]["all"]["mean"],
             }
-            for method, told in methods.items()
+            for method, figures in methods.items()
         ],
         "plots": [
             *(_study_plot(group, what, colours) for what in ("error", "apart")),
@@ -315,14 +327,15 @@ def _study_part(found: Mapping[str, Any], name: str, colours: Mapping[str, str],
 
 def _study_plot(group: Mapping[str, Any], what: str, colours: Mapping[str, str]) -> Part:
     moments, curves, legend = np.array(group["moments"]), [], []
-    for name, told in group["methods"].items():
-        mean, deviation = (100 * numbers(told["over_time"][f"{what}_{one}"]) for one in ("mean", "deviation"))
+    for name, figures in group["methods"].items():
+        over_time = figures["over_time"]
+        mean, deviation = (100 * numbers(over_time[f"{what}_{moment}"]) for moment in ("mean", "deviation"))
         curves.append(Curve(moments, mean, colours[name], thick=True, deviation=deviation))
         legend.append({"name": name, "colour": colours[name], "last": None})
     highest = max((float(np.nanmax(curve.y, initial=0.0)) for curve in curves), default=0.0)
     svg = line_plot(
         curves,
-        x_label="from the first frame to the last",
+        x_label="time, from the first frame to the last",
         y_label="cm",
         x_range=(0, 1),
         y_range=(0, 1.25 * highest or 1),
@@ -337,6 +350,6 @@ def _share_plot(group: Mapping[str, Any]) -> Part:
             curves.append(Curve(moments, numbers(share), colour, thick=True))
             legend.append({"name": phase, "colour": colour or "currentColor", "last": None})
     svg = line_plot(
-        curves, x_label="from the first frame to the last", y_label="share", x_range=(0, 1), y_range=(0, 1.02)
+        curves, x_label="time, from the first frame to the last", y_label="share", x_range=(0, 1), y_range=(0, 1.02)
     )
-    return {"title": "What the cameras see of the keypoints", "svg": svg, "legend": legend}
+    return {"title": "Visibility of the keypoints", "svg": svg, "legend": legend}

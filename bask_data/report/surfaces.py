@@ -1,4 +1,4 @@
-"""The sections on surfaces: the reconstruction, and the objects found on it."""
+"""The sections on surfaces: the reconstruction and its objects."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from bask_data.kinds import ObjectInstances, Reconstruction, Scan
 from bask_data.report.chosen import N_ROWS, PICTURE, Chosen, Part, per_item
 
 FIRST, LAST = (80, 220, 120), (240, 70, 90)
-"""Colours of the cameras' way at its begin and end."""
+"""Colours of the first and last camera on the path."""
 BAD = "#e0453a"
-"""Of frames that stand out."""
+"""Colour of suspect frames."""
 CAMERA_COLOURS = ("", "#4a90d0", "#3f9f74", "#a07cc0", "#b8923a")
-"""Of curves, none of them near `BAD`; the first is that of the text."""
+"""Colours of the cameras' curves, none of them near `BAD`; the first is that of the text."""
 
 
 def reconstruction(chosen: Chosen) -> list[Part]:
-    """The mesh in its own colours, beside a frame seen from the same place and with the cameras' way."""
+    """The mesh in its colours, beside a frame from the same viewpoint, and with the path of the cameras."""
 
     def part(name: str) -> Part | None:
         found = find(chosen.dataset, Reconstruction, name)
@@ -53,7 +53,7 @@ def reconstruction(chosen: Chosen) -> list[Part]:
 
 
 def _frame_plots(reconstruction: Reconstruction) -> list[Part]:
-    """How well the mesh explains each frame; those that stand out are red."""
+    """How well the mesh explains each frame; suspect frames are red."""
     table = {name: reconstruction.frames[name].to_numpy() for name in reconstruction.frames.column_names}
     if not np.isfinite(table["residual_abs"]).any():
         return []
@@ -74,20 +74,20 @@ def _frame_plots(reconstruction: Reconstruction) -> list[Part]:
 
     return [
         plot(
-            "How far each frame is from the mesh",
+            "Distance of each frame from the mesh",
             "residual_abs",
             1000.0,
             "median distance, mm",
-            "Measured depth against the mesh."
+            "Median distance between measured depth and mesh."
             + (
-                " Red frames are explained far worse than the others: their poses are wrong, or something moved."
+                " Red frames fit far worse than the others: their poses are inaccurate, or something moved."
                 if table["suspect"].any()
                 else ""
             ),
             None,
         ),
         plot(
-            "How much of each frame the mesh explains",
+            "Share of each frame that the mesh explains",
             "explained",
             1.0,
             "share of the measurements",
@@ -136,9 +136,9 @@ def objects(chosen: Chosen) -> list[Part]:
             "tiles": _mesh_tiles(chosen.dataset, name, mesh, found) if mesh is not None and fits else [],
             "why_no_picture": ""
             if fits
-            else "there is no reconstruction to draw them on"
+            else "there is no reconstruction to draw the objects on"
             if mesh is None
-            else "the reconstruction is not the one they were found on; run `bask-data run`",
+            else "the objects were made from another reconstruction; run `bask-data run`",
         }
 
     return per_item(chosen.scenes, part)
@@ -149,8 +149,8 @@ def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: Obje
         return []
     scan = find(dataset, Scan, name)
     cameras = scan.cameras if scan else []
-    # A camera that stands still shows one side only.
-    camera = max(cameras, key=lambda one: np.ptp(one.world_from_cameras[:, :3, 3], axis=0).sum(), default=None)
+    # A static camera shows one side only.
+    camera = max(cameras, key=lambda camera: np.ptp(camera.world_from_cameras[:, :3, 3], axis=0).sum(), default=None)
     path = camera.world_from_cameras if camera else np.eye(4)[None]
     plane = find(dataset, ObjectInstances, name)
     up = up_direction(plane.support_plane if plane else None, path)
@@ -169,7 +169,7 @@ def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: Obje
             picture = draw.resize(camera.rgb(i_frame), PICTURE)
             tiles.append({"uri": draw.jpeg_uri(picture), "text": f"frame {i_frame} as recorded"})
         picture = scene.render(colours, view, sharp=sharp, ambient=ambient)
-        tiles.append({"uri": draw.jpeg_uri(picture), "text": f"the mesh from where frame {i_frame} was taken"})
+        tiles.append({"uri": draw.jpeg_uri(picture), "text": f"the mesh from the viewpoint of frame {i_frame}"})
     for view, side in zip(
         orbit_views(mesh.vertices, path, up, height=3 * PICTURE // 4, width=PICTURE), ("left", "right"), strict=True
     ):

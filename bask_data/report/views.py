@@ -1,4 +1,4 @@
-"""The sections on views: input frames, masks over them, and matches between two of them."""
+"""The sections on views: input frames, visible masks, and matches."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from bask_data.kinds import Correspondences, ObjectInstances, Scan, Truth, Visib
 from bask_data.report.chosen import N_CAMERAS, N_ROWS, PICTURE, TILE, WIDE, Chosen, Part, per_item
 
 N_DRAWN_MATCHES = 30
-"""Lines of a pair's picture: more of them cannot be followed from one view to the other."""
+"""Matches drawn per pair, at most: more lines cannot be followed by eye."""
 
 
 def frames(chosen: Chosen) -> list[Part]:
-    """Colour above depth, a few frames of each recording."""
+    """A few frames of each recording, colour above depth."""
 
     def part(name: str) -> Part | None:
         recording = find_recording(chosen.dataset, name)
@@ -57,14 +57,14 @@ def _contact_sheet(camera: Any, found: dict[str, Any], n_frames: int) -> Part:
 
 
 def _shrunk_depth(depth: np.ndarray) -> np.ndarray:
-    """Depth at the size of a tile, by the nearest pixel."""
+    """Depth shrunk to a tile's width by nearest neighbour."""
     if depth.shape[1] <= TILE:
         return depth
     return draw.resize_labels(depth, (max(1, round(depth.shape[0] * TILE / depth.shape[1])), TILE))
 
 
 def masks(chosen: Chosen) -> list[Part]:
-    """Tinted masks over frames, how visible each instance is, and the IoU with labels."""
+    """Masks over frames, the visible share of each instance, and the IoU with ground-truth labels."""
 
     def part(name: str) -> Part | None:
         found = find(chosen.dataset, VisibleMasks, name)
@@ -141,7 +141,7 @@ def matches(chosen: Chosen) -> list[Part]:
 
 
 def _tried_per_object(numbers: dict[str, Any], reasons: Sequence[str]) -> list[Part]:
-    """By object: how many of its pixels that were tried became matches, and why the others did not."""
+    """By object: number of pixels sampled, number of matches, and shares of the reasons for rejection."""
     matches, rejected = numbers["matches_per_instance"], numbers["rejections_per_instance"]
     rows = []
     for i in sorted({*matches, *rejected}):
@@ -161,19 +161,19 @@ def _tried_per_object(numbers: dict[str, Any], reasons: Sequence[str]) -> list[P
 
 
 def _change_plots(correspondences: Correspondences) -> list[Part]:
-    """How different the two views of a pair are."""
+    """Histograms of the differences between the two views of a pair."""
     pairs = correspondences.pairs()
     if not pairs.num_rows:
         return []
     change = view_changes(correspondences.matches())
     distance, angle = (pairs[name].to_numpy().astype(np.float64) for name in ("distance", "angle"))
     drawn = [
-        ("Distance of the cameras", 100 * distance, "centimetres", False),
-        ("Angle between them", np.rad2deg(angle), "degrees", False),
+        ("Distance between the cameras", 100 * distance, "centimetres", False),
+        ("Angle between the cameras", np.rad2deg(angle), "degrees", False),
     ]
     if len(change.scale):
         drawn += [
-            ("Change of scale", change.scale, "times larger in the second view", True),
+            ("Change of scale", change.scale, "scale of the second view relative to the first", True),
             ("Rotation in the image", np.rad2deg(change.rotation), "degrees", False),
         ]
     return [
@@ -183,7 +183,7 @@ def _change_plots(correspondences: Correspondences) -> list[Part]:
 
 
 def _pair_tiles(scan: Scan, correspondences: Correspondences) -> list[Part]:
-    """The pair with most matches and, if another, the one seen from most different directions with enough of them."""
+    """The pair with the most matches and, if different, the pair with the widest angle and enough matches."""
     pairs = correspondences.pairs().to_pylist()
     if not pairs:
         return []

@@ -1,15 +1,15 @@
-"""Figures as people read them: numbers, shares, lengths, sizes and durations."""
+"""Figures formatted for readers: numbers, shares, lengths, sizes and durations."""
 
 from __future__ import annotations
 
 import markupsafe
 
 NBSP = "\u00a0"
-"""A number and its unit stay on one line."""
+"""Keeps a number and its unit on one line."""
 
 
 def number(value: object, digits: int = 3) -> str:
-    """A number as people write it; a dash where it is not known."""
+    """A number, list or text for readers; a dash where it is unknown."""
     if value is None or (isinstance(value, float) and value != value):
         return "–"
     if isinstance(value, bool):
@@ -21,7 +21,7 @@ def number(value: object, digits: int = 3) -> str:
             return f"{int(value):,}"
         return f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:,.0f}"
     if isinstance(value, (list, tuple)):
-        return ", ".join(number(one, digits) for one in value)
+        return ", ".join(number(part, digits) for part in value)
     return str(value)
 
 
@@ -33,7 +33,7 @@ def percent(value: float | None) -> str:
 
 
 def millimetres(value: float | None) -> str:
-    """Metres, written in millimetres below one metre, so that a column of them compares at a glance."""
+    """A length in metres, written in millimetres below one metre so that columns compare at a glance."""
     if value is None or value != value:
         return "–"
     if value >= 1:
@@ -42,7 +42,7 @@ def millimetres(value: float | None) -> str:
 
 
 def size(value: float | None) -> str:
-    """Bytes."""
+    """A size in bytes."""
     if value is None:
         return "–"
     return (
@@ -55,20 +55,20 @@ def size(value: float | None) -> str:
 
 
 def duration(value: float | None) -> str:
-    """Seconds."""
+    """A duration in seconds."""
     if value is None:
         return "–"
     return f"{value:.1f}{NBSP}s" if value < 100 else f"{int(value) // 60}{NBSP}min {int(value) % 60:02d}{NBSP}s"
 
 
 def count(n: int, what: str) -> str:
-    """So many of something."""
+    """A number with its noun, in the singular or plural."""
     return f"{n:,} {what}" if n == 1 else f"{n:,} {what}s"
 
 
 def svg(text: str) -> markupsafe.Markup:
-    """A plot of ours, which is markup; nothing else on the page is."""
-    return markupsafe.Markup(text)  # Drawn by `plots`, which puts no text of others in it.
+    """A plot as markup; everything else on the page is escaped."""
+    return markupsafe.Markup(text)  # Drawn by `plots`, without any text from files.
 
 
 FILTERS = {

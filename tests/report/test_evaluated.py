@@ -118,7 +118,7 @@ def test_cumulative_curves_end_where_all_matches_are(drawn):
         assert [entry["last"] for entry in plot["legend"]] == [0.3] * len(shares)
 
 
-def test_curves_are_told_apart_by_bins_that_have_matches(drawn):
+def test_there_is_a_curve_for_each_bin_with_matches(drawn):
     def told(**bins: list[float | None]) -> dict[str, Any]:
         return {
             "curves": {"error_share": {"threshold": [0.0, 1.0], "share": [0.0, 1.0]}},
@@ -137,7 +137,7 @@ def test_curves_are_told_apart_by_bins_that_have_matches(drawn):
     assert [(entry["name"], entry["last"]) for entry in plots[0]["legend"]] == [("near", 0.0), ("far", 0.2)]
 
 
-def test_the_reliability_diagram_holds_bins_with_matches_against_the_diagonal(drawn):
+def test_the_reliability_diagram_shows_bins_with_matches_and_the_diagonal(drawn):
     calibration = {"n": [4, 0, 2], "confidence": [0.1, None, 0.8], "accuracy": [0.3, None, 0.5], "ece": 0.23}
     plot = evaluated._reliability_plot({"main": {"calibration": calibration}}, {"main": "#123456"}, 0.04)
     (diagonal, curve), how = drawn.pop()
@@ -148,7 +148,7 @@ def test_the_reliability_diagram_holds_bins_with_matches_against_the_diagonal(dr
     assert "within 4% of the image's diagonal" in plot["caption"]
 
 
-def test_what_cannot_be_measured_says_why(tmp_path):
+def test_networks_that_cannot_be_measured_say_why(tmp_path):
     dataset = filled_dataset(tmp_path / "d")
     dataset.add_variant(DescriptorNet, "broken", Variant())
     for variant in ("main", "broken"):
@@ -156,7 +156,7 @@ def test_what_cannot_be_measured_says_why(tmp_path):
     (dataset.path(DescriptorNet, "", "broken") / "weights.safetensors").write_bytes(b"x" * 50)
     page = Page(section(write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8"), "evaluation"))
     assert "broken This could not be read" in page.text
-    assert "Measured on: " in page.text, "the other one is"
+    assert "Measured on: " in page.text, "the other network is measured"
     (dataset.path(Correspondences, "scan-a") / "artifact.json").unlink()
     page = Page(section(write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8"), "evaluation"))
     assert "not measured This could not be read" in page.text
@@ -164,16 +164,16 @@ def test_what_cannot_be_measured_says_why(tmp_path):
     assert "Measured on: " not in page.text
 
 
-def test_the_step_that_the_weights_are_from_is_told_and_marked(dataset, tmp_path, drawn):
+def test_the_step_of_the_saved_weights_is_stated_and_marked(dataset, tmp_path, drawn):
     html = section(write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8"), "training")
     text = Page(html).text
     assert "99 steps; the weights are those of step 80, where validation pck 4 was best (dotted line)" in text
-    assert "99 steps; the weights are the last" in text
+    assert "99 steps; the weights are those of the last step" in text
     marked = [how["marked_x"] for _, how in drawn if how.get("x_label") == "optimiser steps"]
     assert marked == [80, 80, None, None]
 
 
-def test_a_marked_place_is_a_dotted_line(tmp_path: Path):
+def test_a_marked_position_is_a_dotted_line(tmp_path: Path):
     x = np.arange(50.0)
     plain, marked = (line_plot([Curve(x, x, "")], x_label="x", y_label="y", marked_x=at) for at in (None, 20.0))
     assert marked.count("stroke-dasharray") == plain.count("stroke-dasharray") + 1

@@ -121,7 +121,7 @@ def test_the_page_loads_nothing_and_runs_nothing(full_html):
     assert len(full_html) < 8e6
 
 
-def test_every_picture_is_a_picture_with_words_for_those_who_cannot_see_it(full_html):
+def test_every_picture_decodes_and_has_an_alternative_text(full_html):
     import cv2
 
     page = Page(full_html)
@@ -192,7 +192,7 @@ def test_hostile_names_stay_text(tmp_path):
         assert text in page.text
 
 
-def test_error_is_against_the_place_the_objects_poses_give(full, found):
+def test_the_error_is_the_distance_from_where_the_objects_poses_put_keypoints(full, found):
     track = KeypointTrack(full.path(KeypointTrack, "demo-a"))
     places = true_places(make_views(0.3, 6), make_views(0.8, 5))
     numbers = found["keypoints"]["main"]["demo-a"]
@@ -206,7 +206,7 @@ def test_error_is_against_the_place_the_objects_poses_give(full, found):
     assert numbers["truth_error_m"] == {"stems": 0.004, "tissue box": 0.004}
 
 
-def test_share_on_the_right_object_counts_pixels_of_the_true_labels(found):
+def test_the_share_on_the_correct_object_counts_pixels_of_ground_truth_labels(found):
     seen = make_views(0.8, 5)
     places = true_places(make_views(0.3, 6), seen) + np.array([0, 0, OFFSET])
     right, labels = [], []
@@ -238,7 +238,7 @@ def test_figures_on_the_page_are_those_of_the_summary(full_html, found):
     for expected in (
         f"median {millimetres(track['error_m']['median'])}, mean {millimetres(track['error_m']['mean'])}",
         f"{millimetres(track['error_m']['median'])} median keypoint error in demo-a",
-        f"{percent(track['on_object']['right'])} of keypoint positions on the right object",
+        f"{percent(track['on_object']['right'])} of keypoint positions on the correct object",
         f"Counted: {track['error_m']['n']} frames × keypoints, of 2 of 2 keypoints",
         *(f"{row['iou']:.3f}" for row in found["masks"]["scan-a"]["labels"]),
         f"{found['correspondences']['scan-a']['n_matches']} matches in 3 pairs",
@@ -258,9 +258,9 @@ def test_without_truth_no_error_is_given_and_the_reason_is(tmp_path):
     shutil.rmtree(dataset.root / "truth")
     text = Page(write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8")).text
     assert "No error is given: there is no ground truth for this demonstration." in text
-    assert "No share on the right object is given: there is no ground truth for this demonstration." in text
+    assert "No share on the correct object is given: there is no ground truth for this demonstration." in text
     assert "No ground truth for this scene" in text
-    assert "No heat maps: the descriptor network they were described with is not there." in text
+    assert "No heat maps: the descriptor network of the reference keypoints is missing." in text
     assert summarise(dataset)["keypoints"]["main"]["demo-a"]["error_m"]["median"] is None
 
 
@@ -279,7 +279,7 @@ def test_labels_without_poses_give_the_share_alone(tmp_path):
     assert numbers["on_object"]["n"] == 10
 
 
-def test_picks_where_no_item_or_no_pixel_is_are_not_followed(tmp_path):
+def test_picks_outside_the_dataset_or_the_image_are_not_followed(tmp_path):
     dataset = filled_dataset(tmp_path / "d")
     places = [("../../etc", "..", -3, 1e9), ("scan-a", "wrist", 2, float("inf"))]
     picks = [
@@ -294,11 +294,11 @@ def test_picks_where_no_item_or_no_pixel_is_are_not_followed(tmp_path):
         lambda out: ReferenceKeypoints.write(out, descriptors=np.zeros((2, 8), np.float32), picks=picks[:1]),
     )
     text = Page(write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8")).text
-    assert "Picked in frames that this dataset does not hold: ../../etc, .., frame -3." in text
+    assert "Picked in frames that are not in this dataset: ../../etc, .., frame -3." in text
     assert "no label is known for any reference keypoint's object" in text
 
 
-def test_a_broken_artifact_spoils_only_its_own_section(tmp_path):
+def test_a_broken_artifact_affects_only_its_own_section(tmp_path):
     dataset = filled_dataset(tmp_path / "d")
     broken = dataset.path(VisibleMasks, "scan-a") / "zarr.json"
     broken.write_text(broken.read_text().replace('"n_instances"', '"n_things"'))
@@ -311,7 +311,7 @@ def test_a_broken_artifact_spoils_only_its_own_section(tmp_path):
 
 
 @pytest.mark.parametrize(("n_frames", "size"), [(3, (96, 128)), (5, (48, 64))])
-def test_labels_of_other_frames_than_the_track_s_are_not_held_against_it(tmp_path, n_frames, size):
+def test_labels_of_other_frames_than_the_track_s_are_an_error(tmp_path, n_frames, size):
     dataset = filled_dataset(tmp_path / "d")
     labels = np.full(size, LABELS[0], np.uint8)
     publish_artifact(
@@ -326,7 +326,7 @@ def test_labels_of_other_frames_than_the_track_s_are_not_held_against_it(tmp_pat
     assert page.sections == SECTIONS - {"training", "evaluation"}
 
 
-def test_heat_maps_are_of_keypoints_whose_object_is_there(tmp_path, monkeypatch):
+def test_heat_maps_are_of_keypoints_whose_object_is_in_the_recording(tmp_path, monkeypatch):
     monkeypatch.setattr("bask_data.report.heat.N_HEAT_POINTS", 1)
     dataset = filled_dataset(tmp_path / "d")
     publish_network(dataset)
@@ -357,17 +357,17 @@ def test_heat_maps_are_of_all_networks_in_held_out_scenes_first(tmp_path):
     html = html[html.index('<section id="heat">') :]
     page = Page(html[: html.index("</section>") + len("</section>")])
     titles = ["scan-c, wrist: a held-out scene", "scan-a, wrist: the scan they were picked in", "demo-a, wrist: a demo"]
-    assert sorted(titles, key=page.text.index) == titles, "of scan-b, nobody knows what it shows"
+    assert sorted(titles, key=page.text.index) == titles, "scan-b has no ground truth"
     alts = [value for tag, name, value in page.attributes if (tag, name) == ("img", "alt")]
     n_frames = sum(min(len(frames_that_show(dataset, name, [0, 1])), 4) for name in ("scan-c", "scan-a", "demo-a"))
     for point in ("corner", "side"):
         assert sum(alt.startswith(f"heat map of {point}, frame") for alt in alts) == 2 * n_frames
         assert alts.count(f"where {point} was picked") == 3
     assert "main: α = 4; florence: α = 4" in page.text
-    # The frame that points were picked in says nothing.
+    # The frame of the picks is left out.
     own = page.text[page.text.index(titles[1]) : page.text.index(titles[2])]
     assert "frame 2" not in own
-    # What is told of the best match is its distance from where the object's pose puts the point.
+    # The error of the best match is its distance from where the object's pose puts the keypoint.
     finder = Finder(dataset, "florence", DescriptorNet(dataset.path(DescriptorNet, "", "florence")), picks_of(dataset))
     i_frame = frames_that_show(dataset, "scan-c", [0, 1])[0]
     best = finder.look(seen.views[i_frame].rgb, [0]).best[0]
@@ -375,8 +375,8 @@ def test_heat_maps_are_of_all_networks_in_held_out_scenes_first(tmp_path):
         transform(invert_rigid(seen.world_from_cameras[i_frame]), true_places(make_views(0.3, 6), seen)[0]), seen.K
     )
     error = np.linalg.norm(best - [u, v])
-    (told,) = {alt for alt in alts if alt.startswith(f"heat map of corner, frame {i_frame}, {error:.1f} px off")}
-    assert told.endswith(f"nearest {finder.look(seen.views[i_frame].rgb, [0]).nearest[0]:.2f}")
+    (text,) = {alt for alt in alts if alt.startswith(f"heat map of corner, frame {i_frame}, {error:.1f} px off")}
+    assert text.endswith(f"nearest {finder.look(seen.views[i_frame].rgb, [0]).nearest[0]:.2f}")
 
 
 def picks_of(dataset: Dataset) -> list[Pick]:
@@ -409,7 +409,7 @@ def test_frames_that_show_a_point_are_chosen_and_not_the_one_it_was_picked_in(fu
     assert n_left_out > 2, "not only the frame it was picked in"
 
 
-def test_a_network_that_cannot_be_read_spoils_no_other_s_heat_maps(tmp_path):
+def test_an_unreadable_network_leaves_the_heat_maps_of_others(tmp_path):
     dataset = filled_dataset(tmp_path / "d")
     for variant in ("main", "broken"):
         dataset.add_variant(DescriptorNet, variant, Variant())
@@ -427,7 +427,7 @@ def test_a_broken_manifest_is_listed_as_such(tmp_path):
     assert "unreadable manifest" in Page(write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8")).text
 
 
-def test_numbers_read_as_people_write_them():
+def test_figures_are_formatted_for_readers():
     assert [number(value) for value in (None, float("nan"), 1234567, 0.123456, 5.0, [1.0, 2], "x", True)] == [
         *("–", "–", "1,234,567", "0.123", "5", "1, 2", "x", "yes")
     ]

@@ -1,4 +1,4 @@
-"""What the page says of each stage's own account of its quality."""
+"""What the page shows of the quality that each stage reports."""
 
 from __future__ import annotations
 
@@ -40,28 +40,28 @@ def page_of(dataset: Dataset, folder: Path) -> Page:
 # Reconstruction and objects -------------------------------------------------------------------------------------------
 
 
-def test_frames_that_the_mesh_does_not_explain_stand_out(filled, found, page, tmp_path):
+def test_frames_that_the_mesh_does_not_explain_are_suspect(filled, found, page, tmp_path):
     suspects = found["reconstruction"]["scan-a"]["suspect_frames"]
     assert [(row["camera"], row["frame"]) for row in suspects] == [("wrist", 3)]
     assert suspects[0]["residual_abs"] == pytest.approx(0.03)
-    assert "Frames that stand out" in page.text
+    assert "Suspect frames" in page.text
     assert "wrist 3 30.0 mm 20 %" in page.text
     assert "5 of 6 frames fused 1 without depth 90 % of the measurements lie on the mesh" in page.text
     assert "2.0 % of the surface seen from behind only" in page.text
     assert "frame 4 of wrist was left out" in page.text
     html = write_report(filled, tmp_path / "r.html").read_text(encoding="utf-8")
-    plot = html[html.index("How far each frame is from the mesh") :]
+    plot = html[html.index("Distance of each frame from the mesh") :]
     assert "#e0453a" in plot[: plot.index("</figure>")], "a red dot"
 
 
-def test_what_the_cameras_could_not_measure_is_told(found, page):
+def test_regions_without_measurements_are_listed(found, page):
     assert found["reconstruction"]["scan-a"]["unmeasured"] == [
         {"centre": [0.1, 0.2, 0.03], "size": [0.08, 0.06, 0.1], "volume": 2e-4}
     ]
     assert "0.10, 0.20, 0.03 8.0 × 6.0 × 10.0 0.2" in page.text
 
 
-def test_planes_and_near_neighbours_are_told(found, page):
+def test_planes_and_near_neighbours_are_listed(found, page):
     objects = found["objects"]["scan-a"]
     assert [row["role"] for row in objects["planes"]] == ["support", "structure"]
     assert objects["neighbours"] == [{"a": 1, "b": 2, "gap_m": 0.011}]
@@ -100,7 +100,7 @@ def test_touching_bodies_count_as_one_and_the_robot_as_none(filled: Dataset, tmp
     assert "of the masks' pixels show the robot" in page_of(dataset, tmp_path).text
 
 
-def test_the_share_of_a_mask_that_was_measured_is_told(found):
+def test_the_measured_share_of_a_mask_is_reported(found):
     seen = make_views(0.3, 6)
     shares = []
     for view in seen.views:
@@ -121,7 +121,7 @@ def test_inferred_pixels_are_hatched():
     assert 0.2 < changed[5:35, 32:58].mean() < 0.5
 
 
-def test_masks_are_looked_at_once_for_page_and_json(filled, tmp_path, monkeypatch):
+def test_masks_are_read_once_for_page_and_json(filled, tmp_path, monkeypatch):
     looked: list[tuple[str, int]] = []
     read = CameraMasks.instance
 
@@ -140,7 +140,7 @@ def test_masks_are_looked_at_once_for_page_and_json(filled, tmp_path, monkeypatc
     assert len(looked) == 6 + 6 + 4 + 2, "once to measure, and what each size of the page shows"
 
 
-def test_of_long_recordings_frames_spread_over_them_are_looked_at(filled: Dataset, tmp_path, monkeypatch):
+def test_long_recordings_are_measured_on_frames_spread_over_them(filled: Dataset, tmp_path, monkeypatch):
     monkeypatch.setattr("bask_data.evaluation.artifact_figures.MOST_MEASURED", 3)
     dataset = copied(filled, tmp_path / "d")
     masks = summarise(dataset)["masks"]["scan-a"]
@@ -175,7 +175,7 @@ def test_change_of_scale_and_rotation_are_those_of_the_matches():
     np.testing.assert_allclose(change.rotation, angle, atol=1e-5)
 
 
-def test_rejections_are_told_by_object_and_reason(found, page):
+def test_rejections_are_listed_by_object_and_reason(found, page):
     matches = found["correspondences"]["scan-a"]
     assert matches["rejections"] == {"hidden_in_b": 321, "outside_b": 45, "cycle": 6}
     assert matches["rejections_per_instance"] == {
@@ -184,7 +184,12 @@ def test_rejections_are_told_by_object_and_reason(found, page):
     }
     n = matches["matches_per_instance"]["2"]
     assert f"2 {n + 27:,} {n:,} {100 * n / (n + 27):.0f} % " in page.text
-    for title in ("Change of scale", "Rotation in the image", "Distance of the cameras", "Angle between them"):
+    for title in (
+        "Change of scale",
+        "Rotation in the image",
+        "Distance between the cameras",
+        "Angle between the cameras",
+    ):
         assert title in page.text
 
 

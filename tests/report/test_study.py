@@ -17,14 +17,14 @@ from bask_data.report.chosen import choose
 METHODS = ("base: expectation", "ours: expectation", "ours: particle")
 
 
-def told(mean: float) -> dict:
+def figures(mean: float) -> dict:
     return {"n": 8, "n_unknown": 2, "mean": mean, "deviation": mean / 2, "median": mean, "p90": mean, "close": 0.5}
 
 
 def method(mean: float) -> dict:
     return {
-        "error": {phase: told(mean) for phase in ("all", *PHASES)},
-        "apart": {phase: told(10 * mean) for phase in ("all", *PHASES)},
+        "error": {phase: figures(mean) for phase in ("all", *PHASES)},
+        "apart": {phase: figures(10 * mean) for phase in ("all", *PHASES)},
         "over_time": {
             f"{what}_{figure}": [mean, None, 2 * mean]
             for what in ("error", "apart")
@@ -76,35 +76,35 @@ def test_the_page_shows_each_methods_figures_and_curves(dataset: Dataset, tmp_pa
         assert row.count(f"{32.1 * (i + 1):.1f} mm") == 1 + len(PHASES)
         assert f"{321 * (i + 1):.0f} mm" in row
     assert "Settings of the filters: paper" in text
-    assert "Distance to the truth, cm" in text and "Distance between mean and mode, cm" in text
+    assert "Distance to ground truth, cm" in text and "Distance between mean and mode, cm" in text
     assert "Made with other networks" not in text
 
 
 def test_a_script_gets_the_same_figures(dataset: Dataset) -> None:
     assert "study" not in summarise(dataset)
     keep(dataset, found({}))
-    told = summarise(dataset)["study"]["lid"]
-    assert list(told) == list(METHODS)
-    assert told["ours: particle"] == {what: method(3 * 0.0321)[what] for what in ("error", "apart")}
+    summary = summarise(dataset)["study"]["lid"]
+    assert list(summary) == list(METHODS)
+    assert summary["ours: particle"] == {what: method(3 * 0.0321)[what] for what in ("error", "apart")}
     keep(dataset, {"groups": 3})
     assert "study" not in summarise(dataset)
 
 
-def test_a_study_of_what_is_gone_says_so(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_study_of_changed_inputs_is_marked_stale(dataset: Dataset, tmp_path: Path) -> None:
     keep(dataset, found({"descriptor/main": "0123"}))
     assert sections_of(dataset)[0]["is_stale"]
     assert "Made with other networks or recordings" in write_report(dataset, tmp_path / "r.html").read_text()
 
 
 @pytest.mark.parametrize("content", [[], {"groups": 3}, {"groups": {"a": {}}, "methods": 1}, "{"])
-def test_a_file_that_is_no_study_is_said_so_and_spoils_no_page(
+def test_a_file_that_is_no_study_is_an_error_in_its_own_section(
     dataset: Dataset, tmp_path: Path, content: object
 ) -> None:
     keep(dataset, content)
     if content == "{":
         (dataset.root / FILE).write_text("{")
     text = write_report(dataset, tmp_path / "r.html").read_text()
-    assert "How right tracked keypoints are" in text
+    assert "Accuracy of tracked keypoints" in text
     assert "keypoints.json" in text
 
 
