@@ -26,10 +26,10 @@ def reconstruction(chosen: Chosen) -> list[Part]:
     """The mesh in its colours, beside a frame from the same viewpoint, and with the path of the cameras."""
 
     def part(name: str) -> Part | None:
-        found = find(chosen.dataset, Reconstruction, name)
-        if found is None:
+        mesh = find(chosen.dataset, Reconstruction, name)
+        if mesh is None:
             return None
-        numbers = reconstruction_figures(found)
+        numbers = reconstruction_figures(mesh)
         low, high = (np.array(corner) for corner in numbers["bounds_m"])
         return {
             "title": name,
@@ -45,8 +45,8 @@ def reconstruction(chosen: Chosen) -> list[Part]:
                 }
                 for region in numbers["unmeasured"][:N_ROWS]
             ],
-            "plots": _frame_plots(found),
-            "tiles": _mesh_tiles(chosen.dataset, name, found, None),
+            "plots": _frame_plots(mesh),
+            "tiles": _mesh_tiles(chosen.dataset, name, mesh, None),
         }
 
     return per_item(chosen.scenes, part)
@@ -101,10 +101,10 @@ def objects(chosen: Chosen) -> list[Part]:
     """The mesh by instance, and the table of instances."""
 
     def part(name: str) -> Part | None:
-        found = find(chosen.dataset, ObjectInstances, name)
-        if found is None:
+        instances = find(chosen.dataset, ObjectInstances, name)
+        if instances is None:
             return None
-        numbers = objects_figures(found)
+        numbers = objects_figures(instances)
         mesh = find(chosen.dataset, Reconstruction, name)
         rows = [
             {
@@ -114,7 +114,7 @@ def objects(chosen: Chosen) -> list[Part]:
             }
             for row in numbers["instances"][:N_ROWS]
         ]
-        fits = mesh is not None and len(mesh.vertices) == len(found.vertex_instance)
+        fits = mesh is not None and len(mesh.vertices) == len(instances.vertex_instance)
         return {
             "title": name,
             "numbers": numbers,
@@ -133,7 +133,7 @@ def objects(chosen: Chosen) -> list[Part]:
                 }
                 for row in numbers["neighbours"][:N_ROWS]
             ],
-            "tiles": _mesh_tiles(chosen.dataset, name, mesh, found) if mesh is not None and fits else [],
+            "tiles": _mesh_tiles(chosen.dataset, name, mesh, instances) if mesh is not None and fits else [],
             "why_no_picture": ""
             if fits
             else "there is no reconstruction to draw the objects on"

@@ -40,8 +40,8 @@ def frames(chosen: Chosen) -> list[Part]:
     return per_item([*chosen.scenes, *chosen.demonstrations], part)
 
 
-def _contact_sheet(camera: Any, found: dict[str, Any], n_frames: int) -> Part:
-    near, far = found["depth_range_m"]
+def _contact_sheet(camera: Any, figures: dict[str, Any], n_frames: int) -> Part:
+    near, far = figures["depth_range_m"]
     tiles = []
     for i_frame in spread_frames(camera.n_frames, n_frames):
         depth = draw.depth_picture(_shrunk_depth(camera.depth(i_frame)), near, far)
@@ -67,8 +67,8 @@ def masks(chosen: Chosen) -> list[Part]:
     """Masks over frames, the visible share of each instance, and the IoU with ground-truth labels."""
 
     def part(name: str) -> Part | None:
-        found = find(chosen.dataset, VisibleMasks, name)
-        if found is None:
+        visible_masks = find(chosen.dataset, VisibleMasks, name)
+        if visible_masks is None:
             return None
         numbers = chosen.masks[name]
         if "error" in numbers:
@@ -80,16 +80,16 @@ def masks(chosen: Chosen) -> list[Part]:
         tiles = [
             tile
             for camera in (scan.camera_names[:N_CAMERAS] if scan else [])
-            if camera in found.camera_names
+            if camera in visible_masks.camera_names
             for tile in _mask_tiles(
-                scan, found, truth, camera, max(chosen.n_frames // min(len(found.camera_names), 2), 2)
+                scan, visible_masks, truth, camera, max(chosen.n_frames // min(len(visible_masks.camera_names), 2), 2)
             )
         ]
         return {
             "title": name,
             "numbers": numbers,
             "tiles": tiles,
-            "n_cameras_left_out": max(len(found.camera_names) - N_CAMERAS, 0),
+            "n_cameras_left_out": max(len(visible_masks.camera_names) - N_CAMERAS, 0),
             "rows": [
                 {**row, "colour": draw.css(draw.instance_colour(row["id"])), "name": names.get(row["id"], "")}
                 for row in numbers["instances"][:N_ROWS]
@@ -119,10 +119,10 @@ def matches(chosen: Chosen) -> list[Part]:
     """Pairs of frames with lines between matching pixels, and why candidates were rejected."""
 
     def part(name: str) -> Part | None:
-        found = find(chosen.dataset, Correspondences, name)
-        if found is None:
+        correspondences = find(chosen.dataset, Correspondences, name)
+        if correspondences is None:
             return None
-        numbers = matches_figures(found)
+        numbers = matches_figures(correspondences)
         scan = find(chosen.dataset, Scan, name)
         most = max([numbers["n_matches"], *numbers["rejections"].values()], default=1) or 1
         reasons = sorted(numbers["rejections"], key=lambda why: -numbers["rejections"][why])
@@ -131,10 +131,10 @@ def matches(chosen: Chosen) -> list[Part]:
             "title": name,
             "numbers": numbers,
             "bars": [{"name": why, "n": n, "width": round(100 * n / most, 1)} for why, n in bars[:N_ROWS]],
-            "tiles": _pair_tiles(scan, found) if scan else [],
+            "tiles": _pair_tiles(scan, correspondences) if scan else [],
             "reasons": reasons,
             "table": _tried_per_object(numbers, reasons)[:N_ROWS],
-            "plots": _change_plots(found),
+            "plots": _change_plots(correspondences),
         }
 
     return per_item(chosen.scenes, part)

@@ -363,13 +363,11 @@ def test_figures_are_drawn_and_the_same_each_time(dataset: Dataset, found: dict,
         assert (np.abs(image.astype(int) - rgb).max(axis=2) < 12).sum() > 100, colour
 
 
-def test_a_figure_of_frames_that_are_gone_is_refused(dataset: Dataset, found: dict, tmp_path: Path) -> None:
+def test_a_figure_of_missing_frames_is_an_error(dataset: Dataset, found: dict, tmp_path: Path) -> None:
     lost = json.loads(json.dumps(found))
     for one in lost["groups"]["carton+tin"]["keypoints"]:
         one["recording"] = "gone"
-    with pytest.raises(
-        BadData, match="frame .* of wrist in gone: expected the frame the study was made with, got none"
-    ):
+    with pytest.raises(BadData, match="frame .* of wrist in gone: expected the frame that the study used, got none"):
         write_pictures(dataset, lost, tmp_path)
 
 
