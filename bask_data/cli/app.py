@@ -1,4 +1,4 @@
-"""The command `bask-data`: what commands there are, and what all of them share."""
+"""The program `bask-data`: the list of its commands, and the options that all share."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from bask_data.errors import UsageError
 COMMANDS = (
     *under(
         "Recordings",
-        ("init", "datasets", "Make an empty dataset."),
+        ("init", "datasets", "Create an empty dataset."),
         ("ingest", "ingest", "Read a recording into a dataset; one sub-command per format."),
-        ("split", "datasets", "Say which scenes are for training, validation and test."),
+        ("split", "datasets", "Assign scenes to training, validation and test."),
     ),
     *under(
         "Pipeline",
         ("run", "pipeline", "Make everything that is missing or stale, in order."),
-        ("status", "pipeline", "Say what is up to date, and of what is not, why."),
+        ("status", "pipeline", "Show what is up to date and what is not, and why."),
         ("reconstruct", "stages", "Fuse a scan's depth images into a triangle mesh."),
         ("objects", "stages", "Split the surface into the objects on its support and the background."),
         ("masks", "stages", "Project the objects into every frame, hidden parts left out."),
@@ -39,27 +39,27 @@ COMMANDS = (
     ),
     *under(
         "Look",
-        ("report", "show", "Write one HTML page with pictures of everything the dataset holds, and how good it is."),
-        ("view", "show", "Walk through scenes and demonstrations in the Rerun viewer, or save what it shows."),
-        ("evaluate", "evaluate", "Compare what was made with the ground truth of recordings that have it."),
+        ("report", "show", "Write an HTML page with pictures and quality figures of everything in a dataset."),
+        ("view", "show", "Show scenes and demonstrations in the Rerun viewer, or save them as a file."),
+        ("evaluate", "evaluate", "Compare artifacts with ground truth, on recordings that have it."),
     ),
     *under(
         "Dataset",
-        ("info", "datasets", "Say what a dataset holds."),
+        ("info", "datasets", "List the contents of a dataset."),
         ("validate", "datasets", "Check every file against its SHA-256 and every array against its schema."),
     ),
     *under(
         "Share",
-        ("export", "share", "Write demonstrations with their keypoints as the files that policies learn from."),
-        ("dvc", "share", "Write dvc.yaml and params.yaml, so that `dvc repro` runs and records the pipeline."),
+        ("export", "share", "Write demonstrations and their keypoints in a format for policy learning."),
+        ("dvc", "share", "Write dvc.yaml and params.yaml, to run the pipeline with `dvc repro`."),
     ),
     *under(
         "Set-up",
-        ("doctor", "setup", "Say what this machine lacks, and the line that brings it."),
-        ("completion", "setup", "Print the script that makes the Tab key complete commands and names."),
+        ("doctor", "setup", "Check this machine, and print how to install what is missing."),
+        ("completion", "setup", "Print the shell script for completion of commands and names."),
     ),
 )
-"""What `bask-data --help` lists: the name of a command, its module and the first sentence of its help."""
+"""The commands as `bask-data --help` lists them: name, module and first sentence of the help."""
 
 
 class BaskData(BaskGroup):
@@ -74,7 +74,7 @@ app = CommandList(
     no_args_is_help=True,
     context_settings=HELP_FLAGS,
     help="RGB-D scans in; object masks, dense correspondence and Bayesian scene keypoints out.\n\n"
-    "A dataset is a directory: `ingest` fills it, `run` makes everything else from it, `status` says what is stale.",
+    "A dataset is a directory: `ingest` adds recordings, `run` makes everything else, `status` shows what is stale.",
     epilog="""
     bask-data ingest frames recordings/table data/demo --scene table
     bask-data run data/demo
@@ -85,11 +85,11 @@ app = CommandList(
 
 
 def main() -> None:
-    """Run the command line and leave with the documented exit code."""
+    """Run the command line and exit with the documented code."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     if completion.VARIABLE in os.environ:
         completion.prepare()
-    # One name, however it was started: messages name commands that can be typed.
+    # The same name however it was started: messages name commands that can be typed.
     app(prog_name=completion.PROGRAM)
 
 
@@ -97,19 +97,19 @@ def main() -> None:
 def version_or_command(
     context: typer.Context, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
 ) -> None:
-    """Print the version, or go on to the command; `UsageError` if torchrun started one that works alone."""
+    """Print the version, or go on to the command; `UsageError` if torchrun started one that cannot be distributed."""
     if version:
         print(f"bask-data {__version__}")
         raise typer.Exit
     if "TORCHELASTIC_RUN_ID" in os.environ:
-        refuse_alone(context.invoked_subcommand)
+        refuse_undistributed(context.invoked_subcommand)
 
 
-def refuse_alone(command: str | None) -> None:
-    """`UsageError` for a command that several processes of torchrun cannot share."""
+def refuse_undistributed(command: str | None) -> None:
+    """`UsageError` for a command that cannot be distributed over torchrun's processes."""
     from bask_data.engine import processes
     from bask_data.pipeline import STAGES
 
-    able = [stage.name for stage in STAGES if stage.together]
-    if processes() > 1 and command not in able:
-        raise UsageError("torchrun", "command", expected=" or ".join(able), got=command)
+    distributed = [stage.name for stage in STAGES if stage.together]
+    if processes() > 1 and command not in distributed:
+        raise UsageError("torchrun", "command", expected=" or ".join(distributed), got=command)

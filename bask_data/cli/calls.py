@@ -1,4 +1,4 @@
-"""What one call of a stage's command asks for, read off its options."""
+"""One call of a stage's command, as its options describe it."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from bask_data.pipeline import STAGES
 
 @dataclass(frozen=True)
 class StageCall:
-    """A stage of a dataset, and what is asked of it."""
+    """A stage, the dataset it runs on, and the request."""
 
     dataset: Dataset
     stage: Stage
     request: RunRequest
 
     def tasks(self, more: dict[str, Any] | None = None) -> list[Task]:
-        """What is to be made, with further parameters over those given."""
+        """The tasks of the request; `more` are parameters that override those given."""
         request = replace(self.request, options={**self.request.options, **(more or {})})
         return [task for part in planned(self.dataset, STAGES, request) for task in part.tasks]
 
     @property
     def following(self) -> str:
-        """The command that goes on with what the stage makes, in the same variants."""
+        """The command to run next: the first stage that reads this one's artifacts, with the same variants."""
         root, makes, request = quoted(self.dataset.root), self.stage.makes, self.request
-        later = [other for other in STAGES if makes in [given.artifact for given in other.inputs]]
+        later = [other for other in STAGES if makes in [input_.artifact for input_ in other.inputs]]
         if not later:
             return f"bask-data report {root}"
-        own = {given.artifact.kind for given in self.stage.inputs if given.artifact.has_variants}
-        shared = [given.artifact.kind for given in later[0].inputs if given.artifact.kind in own]
+        own = {input_.artifact.kind for input_ in self.stage.inputs if input_.artifact.has_variants}
+        shared = [input_.artifact.kind for input_ in later[0].inputs if input_.artifact.kind in own]
         variant = request.variant or "main"
         variants = {makes.kind: variant, **{kind: request.variant_inputs.get(kind, variant) for kind in shared}}
         words = [f"--{kind} {name}" for kind, name in variants.items() if name != "main"]
@@ -43,7 +43,7 @@ class StageCall:
 
 
 def call_of(stage: Stage, root: Path, options: dict[str, Any]) -> StageCall:
-    """The call that these options make; `UsageError` if another version of the stage is asked for."""
+    """The call with these options; `UsageError` if they ask for another version of the stage."""
     version = options["stage_version"]
     if version not in (0, stage.version):
         fix = f"bask-data dvc {root}"

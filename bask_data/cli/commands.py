@@ -1,4 +1,4 @@
-"""Commands and groups of them, as Typer runs them: their help and their errors are ours, their modules load lazily."""
+"""Typer commands and command groups with our own help and errors, whose modules load lazily."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ HELP_FLAGS = {"help_option_names": ["-h", "--help"]}
 
 @dataclass(frozen=True)
 class ListedCommand:
-    """A command as its group lists it.
+    """A command as listed by its group.
 
     Args:
-        panel: heading it is listed under.
-        module: of `bask_data.cli`, whose `app` has it. It is loaded when the command is used, and no other is.
+        panel: heading in the list.
+        module: in `bask_data.cli`, with the command in its `app`; loaded only when the command is used.
         summary: the first sentence of its help.
     """
 
@@ -43,14 +43,14 @@ def under(panel: str, *commands: tuple[str, str, str]) -> tuple[ListedCommand, .
 
 
 class BaskCommand(TyperCommand):
-    """A command whose usage errors name what was expected, what came and what to do."""
+    """A command whose usage errors state what was expected, what was given and the fix."""
 
-    allow_extra_args = True  # So that the words that are too many are ours to refuse.
+    allow_extra_args = True  # Superfluous arguments then reach `parse_args`, which refuses them in our words.
 
     def parse_args(self, ctx: Context, args: list[str]) -> list[str]:
-        """As Typer does, with errors of ours."""
+        """Parse as Typer does, with our own errors."""
         if ctx.resilient_parsing and args and args[-1].startswith("-"):
-            # An option that is being completed has no value yet, over which the parser would forget the arguments.
+            # An option that is being completed has no value yet; the parser would then drop the arguments.
             args = args[:-1]
         rest = parsed(self, super().parse_args, ctx, args)
         if rest and not ctx.resilient_parsing:
@@ -58,21 +58,21 @@ class BaskCommand(TyperCommand):
         return rest
 
     def format_help(self, ctx: Context, formatter: Any) -> None:
-        """Arguments and options under the headings of their panels, then examples."""
+        """Write arguments and options under their panels' headings, then examples."""
         formatter.write(help.rendered(self, ctx))
 
 
 class BaskGroup(TyperGroup):
-    """A group of commands; those of `entries` are loaded when they are used."""
+    """A group of commands; those in `entries` are loaded on use."""
 
     entries: tuple[ListedCommand, ...] = ()
 
     def list_commands(self, ctx: Context) -> list[str]:
-        """Names in the order of the list."""
+        """Names of the commands, in listed order."""
         return [*(entry.name for entry in self.entries), *super().list_commands(ctx)]
 
     def get_command(self, ctx: Context, cmd_name: str) -> Any:
-        """The command, loaded if need be; None if there is no such."""
+        """The command of that name, loaded if necessary; None if there is none."""
         for entry in self.entries:
             if entry.name == cmd_name:
                 group = get_group(import_module(f"bask_data.cli.{entry.module}").app)
@@ -80,7 +80,7 @@ class BaskGroup(TyperGroup):
         return super().get_command(ctx, cmd_name)
 
     def summaries(self, ctx: Context) -> list[ListedCommand]:
-        """The list of commands; none is loaded for it."""
+        """The listed commands, without loading any."""
         own = [
             ListedCommand(name, "Commands", "", (command.help or "").split("\n")[0])
             for name, command in self.commands.items()
@@ -88,51 +88,51 @@ class BaskGroup(TyperGroup):
         return [*self.entries, *own]
 
     def resolve_command(self, ctx: Context, args: list[str]) -> Any:
-        """The command of the first word; `UsageError` if there is none of that name."""
+        """The command named by the first argument; `UsageError` if it does not exist."""
         command = self.get_command(ctx, args[0])
         if command is None and not ctx.resilient_parsing:
             raise usage.unknown_command(args[0], self.list_commands(ctx), ctx)
         return args[0] if command else None, command, args[1:]
 
     def parse_args(self, ctx: Context, args: list[str]) -> list[str]:
-        """As Typer does, with errors of ours; nothing at all asks for help."""
+        """Parse as Typer does, with our own errors; no arguments print the help."""
         if not args and self.no_args_is_help and not ctx.resilient_parsing:
             typer.echo(ctx.get_help(), err=True)
             raise typer.Exit(2)
         return parsed(self, super().parse_args, ctx, args)
 
     def invoke(self, ctx: Context) -> Any:
-        """Run the command; what it raises becomes a line and an exit code."""
+        """Run the command; an exception becomes an error line and an exit code."""
         with reported():
             try:
                 return super().invoke(ctx)
             finally:
-                sys.stdout.flush()  # Here, where it is caught that nobody reads any more.
+                sys.stdout.flush()  # Here, because a closed pipe is handled here.
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
-        """Run the command line and leave with the documented exit code."""
+        """Run the command line and exit with the documented code."""
         try:
             return super().main(*args, **kwargs)
-        except BaskError as error:  # Of the group's own options, before any command is invoked.
+        except BaskError as error:  # From the group's own options, before any command is invoked.
             show_error(error)
             sys.exit(error.exit_code)
 
     def shell_complete(self, ctx: Context, incomplete: str) -> list[Any]:
-        """Names of the commands, read off the list, and the group's options."""
+        """Completions: the listed commands and the group's options."""
         names = {entry.name: entry.summary for entry in self.summaries(ctx)}
         return [*completion.items(names, incomplete), *super(TyperGroup, self).shell_complete(ctx, incomplete)]
 
     def format_help(self, ctx: Context, formatter: Any) -> None:
-        """Commands under the headings of their panels."""
+        """Write the commands under their panels' headings."""
         formatter.write(
-            help.rendered(self, ctx, [(each.panel, each.name, each.summary) for each in self.summaries(ctx)])
+            help.rendered(self, ctx, [(entry.panel, entry.name, entry.summary) for entry in self.summaries(ctx)])
         )
 
 
 class CommandList(typer.Typer):
-    """Commands of one module, or sub-commands of one command.
+    """The commands of one module, or the sub-commands of one command.
 
-    Help, completion and errors are made in this package, not by Typer.
+    Help, completion and errors come from this package, not from Typer.
     """
 
     def __init__(self, **settings: Any) -> None:
@@ -140,17 +140,17 @@ class CommandList(typer.Typer):
         super().__init__(**{"cls": BaskGroup, **plain, **settings})
 
     def command(self, name: str | None = None, **settings: Any) -> Any:
-        """Declare the function below as a command."""
+        """Decorator that declares a function as a command."""
         return super().command(name, **{"cls": BaskCommand, **settings})
 
 
 def parsed(
     command: Any, parse: Callable[[Context, list[str]], list[str]], context: Context, args: Sequence[str]
 ) -> list[str]:
-    """The words that the parser leaves over.
+    """The arguments that the parser did not consume.
 
     Raises:
-        UsageError: it refuses one.
+        UsageError: the parser refused an argument or option.
     """
     try:
         return parse(context, list(args))

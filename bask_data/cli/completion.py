@@ -1,4 +1,4 @@
-"""What the shell offers at the Tab key: names of commands, recordings, variants and parameters."""
+"""Shell completion of commands, recordings, variants and parameters."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typer._completion_shared import get_completion_script
 
 PROGRAM = "bask-data"
 VARIABLE = "_BASK_DATA_COMPLETE"
-"""Of the environment, by which a shell asks the program itself for completions."""
+"""Environment variable by which a shell asks the program for completions."""
 
 SHELLS = ("bash", "zsh", "fish")
 
@@ -32,65 +32,67 @@ Completer = Callable[[typer.Context, str], list[str]]
 
 
 def script(shell: str) -> str:
-    """What a shell has to read once so that Tab completes."""
+    """The script that a shell has to read to enable completion."""
     if shell == "bash":
         return _BASH % VARIABLE
     return get_completion_script(prog_name=PROGRAM, complete_var=VARIABLE, shell=shell)
 
 
 def prepare() -> None:
-    """Let the program answer a shell that asks."""
+    """Set the program up to answer a shell's request."""
     completion_init()
 
 
 def items(names: Mapping[str, str], incomplete: str) -> list[CompletionItem]:
-    """Names that begin so, each with a word of help."""
+    """Names with this prefix, each with its help."""
     return [CompletionItem(name, help=text) for name, text in names.items() if name.startswith(incomplete)]
 
 
 def recordings(context: typer.Context, incomplete: str) -> list[str]:
-    """Scenes and demonstrations of the dataset named before; also further ones of a list with commas."""
+    """Scenes and demonstrations of the dataset given before; in a comma-separated list also the next one."""
     listed = _listed(context)
-    return _further({**listed.get("scenes", {}), **listed.get("demonstrations", {})}, incomplete)
+    return _not_listed_yet({**listed.get("scenes", {}), **listed.get("demonstrations", {})}, incomplete)
 
 
 def scenes(context: typer.Context, incomplete: str) -> list[str]:
-    """Scenes alone."""
-    return _further(_listed(context).get("scenes", {}), incomplete)
+    """Scenes of the dataset given before."""
+    return _not_listed_yet(_listed(context).get("scenes", {}), incomplete)
 
 
 def demonstrations(context: typer.Context, incomplete: str) -> list[str]:
-    """Demonstrations alone."""
-    return _further(_listed(context).get("demonstrations", {}), incomplete)
+    """Demonstrations of the dataset given before."""
+    return _not_listed_yet(_listed(context).get("demonstrations", {}), incomplete)
 
 
 def variants_of(*kinds: str) -> Completer:
-    """Completes names of the variants of these kinds; of all kinds if none is named."""
+    """A completer for the variants of these kinds; of all kinds if none is named."""
 
     def complete(context: typer.Context, incomplete: str) -> list[str]:
         of_kind = _listed(context).get("variants", {})
-        return _further(["main", *(name for kind in kinds or of_kind for name in of_kind.get(kind, {}))], incomplete)
+        names = [name for kind in kinds or of_kind for name in of_kind.get(kind, {})]
+        return _not_listed_yet(["main", *names], incomplete)
 
     return complete
 
 
 def assignments(context: typer.Context, incomplete: str) -> list[str]:
-    """`stage.field=` of every parameter."""
+    """`stage.field=` for every parameter."""
     from bask_data.pipeline import STAGES
 
     return [f"{stage.name}.{field}=" for stage in STAGES for field in stage.params.model_fields]
 
 
-def _further(names: Iterable[str], incomplete: str) -> list[str]:
+def _not_listed_yet(names: Iterable[str], incomplete: str) -> list[str]:
+    """The comma-separated list so far, continued with each name that is not in it."""
     before = incomplete[: incomplete.rfind(",") + 1]
     taken = before.split(",")
     return [before + name for name in dict.fromkeys(names) if name not in taken]
 
 
 def _listed(context: typer.Context) -> dict[str, Any]:
-    """`dataset.json` as it stands: Tab must be quick, and silent about what is broken."""
+    """`dataset.json` unchecked, empty if it cannot be read: completion must be fast and silent."""
     try:
-        found = json.loads((Path(context.params["root"]) / "dataset.json").read_text(encoding="utf-8"))
+        document = json.loads((Path(context.params["root"]) / "dataset.json").read_text(encoding="utf-8"))
     except (KeyError, TypeError, OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return document if isinstance(document, dict) else {}

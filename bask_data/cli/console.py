@@ -1,4 +1,4 @@
-"""What a person sees: results on stdout, so that they pipe; progress, outcomes, notes and errors on stderr."""
+"""Terminal output: results on stdout, for pipes; progress, outcomes, notes and errors on stderr."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from bask_data.engine import Outcome
 
 _SECONDS_BETWEEN_LINES = 10.0
-"""Of progress in a log: often enough to see that it goes on, seldom enough to read the rest."""
+"""Interval of progress lines in a log: short enough to show progress, long enough to keep the log readable."""
 _ESCAPES = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _MARKS = {
     "made": "made",
@@ -29,12 +29,12 @@ _MARKS = {
 
 
 def say(text: str) -> None:
-    """One line on stderr. Escape sequences go: they come from libraries' colours, or from names in strangers' files."""
+    """Print a line to stderr. Escape sequences are removed: libraries and names in untrusted files contain some."""
     print(_ESCAPES.sub("", text), file=sys.stderr, flush=True)
 
 
 def print_result(command: str, lines: Iterable[str], document: Mapping[str, Any], as_json: bool) -> None:
-    """What a command was asked for, on stdout: lines for a person, or one JSON document for a program."""
+    """Print a command's result to stdout, as lines of text or as one JSON document."""
     if as_json:
         print(json.dumps({"command": command, **document}, indent=2), flush=True)
         return
@@ -43,7 +43,7 @@ def print_result(command: str, lines: Iterable[str], document: Mapping[str, Any]
 
 
 def show_outcome(outcome: Outcome) -> None:
-    """One line an outcome; errors in full."""
+    """Print one line for an outcome; errors in full."""
     seconds = f"  {duration(outcome.seconds)}" if outcome.seconds >= 0.05 else ""
     why = f"  ({outcome.why})" if outcome.why and outcome.status != "failed" else ""
     say(f"  {_MARKS[outcome.status]:<10}  {outcome.label}{seconds}{why}")
@@ -52,13 +52,13 @@ def show_outcome(outcome: Outcome) -> None:
 
 
 def show_error(error: BaskError) -> None:
-    """An error with its notes, without a traceback."""
+    """Print an error with its notes, without a traceback."""
     say("\n".join([f"error: {error}", *getattr(error, "__notes__", [])]))
 
 
 @contextmanager
 def shown_progress() -> Iterator[None]:
-    """Show the progress of long loops: a bar on a terminal, else a line now and then."""
+    """Show the progress of long loops: a bar on a terminal, otherwise a line every ten seconds."""
     listener = _Bar() if sys.stderr.isatty() else _Lines()
     progress.listen(listener, lambda text: listener.print(f"  ...         {text}"))
     try:
@@ -69,7 +69,7 @@ def shown_progress() -> Iterator[None]:
 
 
 class _Lines:
-    """A line every ten seconds, for logs."""
+    """Progress as a line every ten seconds, for logs."""
 
     def __init__(self) -> None:
         self._label, self._begun, self._said = "", 0.0, 0.0
@@ -83,15 +83,15 @@ class _Lines:
             say(f"  ...         {label} {done}{f'/{total}' if total else ''}{_left(now - self._begun, done, total)}")
 
     def print(self, text: str) -> None:
-        """A line among those of the loop."""
+        """Print a line between those of the loop."""
         say(text)
 
     def close(self) -> None:
-        """Nothing is left on the screen."""
+        """Do nothing: lines stay."""
 
 
 class _Bar:
-    """A bar that vanishes when its loop ends."""
+    """Progress as a bar that disappears when its loop ends."""
 
     def __init__(self) -> None:
         self._progress: Any = None
@@ -115,14 +115,14 @@ class _Bar:
             self.close()
 
     def print(self, text: str) -> None:
-        """A line above the bar."""
+        """Print a line above the bar."""
         if self._progress is None:
             say(text)
         else:
             self._progress.console.print(_ESCAPES.sub("", text), markup=False, highlight=False, soft_wrap=True)
 
     def close(self) -> None:
-        """Clear the bar away, so that lines can be printed."""
+        """Remove the bar, so that lines can be printed."""
         if self._progress is not None:
             self._progress.stop()
         self._progress, self._task, self._label = None, None, ""
@@ -133,7 +133,7 @@ def _left(elapsed: float, done: int, total: int | None) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Seconds as a person says them."""
+    """Seconds in readable units: `4.2 s`, `3 min 5 s`, `2 h 10 min`."""
     if seconds < 60:
         return f"{seconds:.1f} s"
     if seconds < 3600:

@@ -1,4 +1,4 @@
-"""Commands over a dataset as a whole: `init`, `split`, `info` and `validate`."""
+"""Commands for a dataset as a whole: `init`, `split`, `info` and `validate`."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ app = CommandList()
 )
 def init(
     root: Root,
-    name: Annotated[str, typer.Option(help="Name of the dataset; by default the directory's.")] = "",
-    licence: Annotated[str, typer.Option(help="Licence of the data: an SPDX identifier.")] = "",
+    name: Annotated[str, typer.Option(help="Name of the dataset. [default: the directory's]")] = "",
+    licence: Annotated[str, typer.Option(help="Licence of the data, as an SPDX identifier.")] = "",
     json_: Json = False,
 ) -> None:
-    """Make an empty dataset.
+    """Create an empty dataset.
 
-    `ingest` makes one too, where there is none.
+    `ingest` also creates one if there is none.
     """
     dataset = Dataset.create(root, name, licence)
     say(f"made {dataset.root / DATASET}")
@@ -50,26 +50,26 @@ def init(
     """
 )
 def info(root: Root, json_: Json = False) -> None:
-    """Say what a dataset holds.
+    """List the contents of a dataset.
 
-    Recordings, splits, and each artifact with its size and the digest of its content.
+    Recordings, splits, and each artifact with its size and content digest.
     """
     from bask_data.contents import contents
 
     dataset = Dataset(root)
-    held = contents(dataset)
-    document = {"dataset": dataset.file.model_dump(mode="json"), "artifacts": [vars(each) for each in held]}
-    print_result("info", _info_lines(dataset.file, held), document, json_)
+    holdings = contents(dataset)
+    document = {"dataset": dataset.file.model_dump(mode="json"), "artifacts": [vars(holding) for holding in holdings]}
+    print_result("info", _info_lines(dataset.file, holdings), document, json_)
 
 
-def _info_lines(file: DatasetFile, held: list[Holding]) -> Iterator[str]:
+def _info_lines(file: DatasetFile, holdings: list[Holding]) -> Iterator[str]:
     yield (
         f"{file.name}: {len(file.scenes)} scenes, {len(file.demonstrations)} demonstrations, "
         f"licence {file.licence or 'not stated'}"
     )
-    for each in held:
-        cameras = ", ".join(f"{name} {size}" for name, size in each.cameras.items())
-        yield f"  {each.artifact:<40} {each.bytes / 1e6:9.1f} MB  {each.digest[:12]}  {cameras}".rstrip()
+    for holding in holdings:
+        cameras = ", ".join(f"{name} {size}" for name, size in holding.cameras.items())
+        yield f"  {holding.artifact:<40} {holding.bytes / 1e6:9.1f} MB  {holding.digest[:12]}  {cameras}".rstrip()
     yield from _split_lines(file.splits)
 
 
@@ -81,7 +81,7 @@ def _info_lines(file: DatasetFile, held: list[Holding]) -> Iterator[str]:
 def validate(root: Root, json_: Json = False) -> None:
     """Check every file against its SHA-256 and every array against its schema.
 
-    Leaves with exit code 4 if there is a problem; each comes with what mends it.
+    Exits with code 4 if there is a problem; each is printed with its fix.
     """
     from bask_data.validate import artifacts_on_disk
     from bask_data.validate import validate as find_problems
@@ -116,14 +116,14 @@ def split(
         str, typer.Option(help="Scenes to validate on.", metavar="NAMES", autocompletion=completion.scenes)
     ] = "",
     test: Annotated[
-        str, typer.Option(help="Scenes kept for the test.", metavar="NAMES", autocompletion=completion.scenes)
+        str, typer.Option(help="Scenes to test on.", metavar="NAMES", autocompletion=completion.scenes)
     ] = "",
     json_: Json = False,
 ) -> None:
-    """Say which scenes are for training, validation and test.
+    """Assign scenes to training, validation and test.
 
-    Splits are by scene, never by frame: frames of one scene resemble each other. The names replace all
-    that were given before. Without --train, all scenes that are in no other split are for training.
+    Splits are by scene, never by frame, because frames of one scene resemble each other. The names replace all those
+    given before. Without --train, all scenes that are in no other split are for training.
     """
     splits = Splits(train=tuple(names_of(train)), validation=tuple(names_of(validation)), test=tuple(names_of(test)))
     Dataset(root).set_splits(splits)

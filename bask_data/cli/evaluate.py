@@ -1,4 +1,4 @@
-"""`evaluate`: masks, correspondences, networks and keypoints, compared with ground truth."""
+"""`evaluate`: masks, correspondences, networks and keypoints compared with ground truth."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from bask_data.errors import UsageError
 app = CommandList(
     name="evaluate",
     no_args_is_help=True,
-    help="Compare what was made with the ground truth of recordings that have it.",
+    help="Compare artifacts with ground truth, on recordings that have it.",
     epilog="""
     bask-data evaluate masks data/demo
     bask-data evaluate descriptor data/demo --json > descriptor.json
@@ -43,7 +43,7 @@ app = CommandList(
 
 @app.callback()
 def _group() -> None:
-    """Keep the commands below a name of their own."""
+    """A callback makes this a group: `evaluate NAME`."""
 
 
 @app.command(
@@ -53,9 +53,9 @@ def _group() -> None:
     """
 )
 def masks(root: Root, only: Only = "", json_: Json = False) -> None:
-    """Count the objects found, and give the IoU of their visible masks with the labels.
+    """Count detected objects, and measure the IoU of their visible masks with the labels.
 
-    Bodies that touch count as one object: geometry cannot tell them apart.
+    Objects that touch count as one: geometry alone cannot separate them.
     """
     from bask_data.evaluation import evaluated_masks
     from bask_data.evaluation.tables import mask_lines
@@ -71,7 +71,7 @@ def masks(root: Root, only: Only = "", json_: Json = False) -> None:
     """
 )
 def correspondences(root: Root, only: Only = "", json_: Json = False) -> None:
-    """Measure how far matches are from where exact depth and cameras put them, in pixels."""
+    """Measure the error of matches in pixels, by exact depth and camera poses."""
     from bask_data.evaluation import evaluated_correspondences
     from bask_data.evaluation.tables import match_lines
 
@@ -99,9 +99,9 @@ def descriptor(
     seed: Seed = 0,
     json_: Json = False,
 ) -> None:
-    """Measure how well networks find in held-out views what they saw in others.
+    """Measure how accurately networks match pixels between held-out views.
 
-    By exact depth and cameras where the truth knows them, else by the dataset's own matches; broken down by change of
+    By exact depth and camera poses where ground truth has them, otherwise by the dataset's own matches; by change of
     scale, rotation, occlusion and object.
     """
     from bask_data.evaluation import DescriptorSettings, evaluated_descriptor
@@ -139,10 +139,10 @@ def keypoints(
     pictures: Pictures = None,
     json_: Json = False,
 ) -> None:
-    """Measure how far tracked keypoints are from the truth, over time and by what the cameras see of them.
+    """Measure the error of tracked keypoints, over time and by their visibility.
 
-    Single frames, discrete and particle filter, on demonstrations whose truth knows where the objects are. The dataset
-    keeps the result in evaluation/keypoints.json, for its report.
+    Compares expectation, discrete filter and particle filter on demonstrations whose ground truth has the poses of
+    objects. The result is stored in ROOT/evaluation/keypoints.json, for the report.
     """
     from bask_data.evaluation import StudySettings, evaluated_keypoints
     from bask_data.evaluation.keypoint_study import save_study
@@ -173,13 +173,13 @@ def keypoints(
 
 
 def _named_datasets(given: Sequence[str]) -> dict[str, Dataset]:
-    """Of NAME=ROOT."""
-    found = {}
+    """Datasets by name, from `NAME=ROOT`."""
+    datasets: dict[str, Dataset] = {}
     for text in given:
         name, is_pair, root = text.partition("=")
         if not (name and is_pair and root):
             raise UsageError("evaluate descriptor", "--against", expected="NAME=ROOT", got=text)
-        if name in found:
-            raise UsageError("evaluate descriptor", "--against", expected="names that differ", got=f"{name} twice")
-        found[name] = Dataset(root)
-    return found
+        if name in datasets:
+            raise UsageError("evaluate descriptor", "--against", expected="each name once", got=f"{name} twice")
+        datasets[name] = Dataset(root)
+    return datasets

@@ -23,27 +23,27 @@ Networks = Annotated[str, _names("Networks to compare, separated by commas.", co
 Trackers = Annotated[
     str,
     _names(
-        "Networks to track with, by commas: all filters with the first, single frames with the others.",
+        "Networks to track with, separated by commas: the first with all filters, the others without filtering.",
         completed=NETWORKS,
     ),
 ]
 Scenes = Annotated[
-    str, _names("Scenes to measure on. [default: what was held out of training]", completed=completion.scenes)
+    str, _names("Scenes to measure on. [default: those held out from training]", completed=completion.scenes)
 ]
 Demonstrations = Annotated[
-    str, _names("Demonstrations to track in. [default: all with truth]", completed=completion.demonstrations)
+    str, _names("Demonstrations to track in. [default: all with ground truth]", completed=completion.demonstrations)
 ]
 Against = Annotated[
     list[str],
     _names(
-        "A further dataset whose truth names the same objects, to look for the keypoints in: other instances, other "
-        "surroundings. May be repeated.",
+        "A further dataset to find the keypoints in, whose ground truth names the same objects: other instances or "
+        "other backgrounds. May be repeated.",
         WHAT,
         "NAME=ROOT",
     ),
 ]
-Objects = Annotated[str, _names("Objects to put keypoints on. [default: all of a demonstration]", WHAT)]
-Cameras = Annotated[str, _names("Cameras to track with, `wrist` in the paper. [default: all]", WHAT)]
+Objects = Annotated[str, _names("Objects to place keypoints on. [default: all of a demonstration]", WHAT)]
+Cameras = Annotated[str, _names("Cameras to track with; the paper uses `wrist`. [default: all]", WHAT)]
 Reference = Annotated[
     str,
     _names(
@@ -56,8 +56,8 @@ Reference = Annotated[
 PickIn = Annotated[
     str,
     _names(
-        "Recordings to choose these points in, the first with the objects; a demonstration in the paper. "
-        "[default: scans that networks learn from]",
+        "Recordings to pick these points in; the first that shows the objects is used. The paper uses a demonstration. "
+        "[default: training scans]",
         WHAT,
         completed=completion.recordings,
     ),
@@ -65,26 +65,28 @@ PickIn = Annotated[
 SoughtKeypoints = Annotated[
     int,
     typer.Option(
-        min=0, help="Keypoints picked in a view trained on, to look for in others; 0 is none.", rich_help_panel=WHAT
+        min=0, help="Keypoints to pick in a training view and find in others; 0 for none.", rich_help_panel=WHAT
     ),
 ]
 TrackedKeypoints = Annotated[
-    int, typer.Option(min=1, help="Number of points, shared among the objects.", rich_help_panel=WHAT)
+    int, typer.Option(min=1, help="Number of keypoints, shared among the objects.", rich_help_panel=WHAT)
 ]
 Sweep = Annotated[
     bool,
     typer.Option(
-        "--sweep/--no-sweep", help="Zoom and turn some of the views by given amounts, too.", rich_help_panel=WHAT
+        "--sweep/--no-sweep", help="Also scale and rotate some of the views by fixed amounts.", rich_help_panel=WHAT
     ),
 ]
-Pairs = Annotated[int, typer.Option(min=1, help="Most pairs of frames, of each scene.", rich_help_panel=HOW)]
+Pairs = Annotated[int, typer.Option(min=1, help="Largest number of pairs of frames per scene.", rich_help_panel=HOW)]
 Alpha = Annotated[
     float,
-    typer.Option(min=0, help="Temperature of the heat maps whose truthfulness is measured.", rich_help_panel=HOW),
+    typer.Option(min=0, help="Temperature of the heat maps whose calibration is measured.", rich_help_panel=HOW),
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of what is chosen at random.", rich_help_panel=HOW)]
+Seed = Annotated[int, typer.Option(min=0, help="Random seed.", rich_help_panel=HOW)]
 FilterSettings = Annotated[
     Literal["default", "paper", "code"],
-    typer.Option(help="Settings of the filters: our own, the paper's, or its authors' code's.", rich_help_panel=HOW),
+    typer.Option(
+        help="Settings of the filters: bask-data's own, the paper's, or those of its code.", rich_help_panel=HOW
+    ),
 ]
-Pictures = Annotated[Path | None, typer.Option(help="Draw the figures into this folder, as PNG.", metavar="DIR")]
+Pictures = Annotated[Path | None, typer.Option(help="Write the figures to this folder, as PNG.", metavar="DIR")]

@@ -1,4 +1,4 @@
-"""What ends a command early: one line for a person, an exit code for a script."""
+"""Early ends of a command: one line for a person, an exit code for a script."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from bask_data.errors import BaskError, MissingDependency
 
 @contextmanager
 def reported() -> Iterator[None]:
-    """Turn whatever ends the command inside into a line on stderr and the documented exit code.
+    """Turn an exception inside into a line on stderr and the documented exit code.
 
     Raises:
-        typer.Exit: with that code. `BASK_DEBUG=1` lets an unexpected error through, with its traceback.
+        typer.Exit: with that code. With `BASK_DEBUG=1` an unexpected error passes through, with its traceback.
     """
     try:
         yield
     except (typer.Exit, typer.Abort, typer.TyperException):
         raise
     except KeyboardInterrupt:
-        say("interrupted: what was finished is kept; the same command goes on from there.")
+        say("interrupted: finished work is kept; run the same command again to continue.")
         raise typer.Exit(130) from None
     except BrokenExecutor:
         say("error: a worker process was killed.  fix: it may have run out of memory; use fewer --jobs.")
         raise typer.Exit(1) from None
     except BrokenPipeError:
-        # Whoever read our output has gone: point it at nothing, or the interpreter complains when it closes it.
+        # The reader of our output is gone. Without this the interpreter would complain when it flushes stdout.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise typer.Exit(1) from None
     except BaskError as error:
         show_error(error)
         raise typer.Exit(error.exit_code) from None
     except ImportError as error:
-        lacking = MissingDependency(
-            "import", error.name or "", expected="a package that loads", got=str(error), fix="bask-data doctor"
+        missing = MissingDependency(
+            "import", error.name or "", expected="an importable package", got=str(error), fix="bask-data doctor"
         )
-        show_error(lacking)
-        raise typer.Exit(lacking.exit_code) from None
+        show_error(missing)
+        raise typer.Exit(missing.exit_code) from None
     except Exception as error:
         if os.environ.get("BASK_DEBUG"):
             raise

@@ -1,4 +1,4 @@
-"""The help of a command: what it does, its options under headings, and examples; as wide as the terminal."""
+"""The help of a command: description, options under headings, and examples, in the terminal's width."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ import typer
 from typer._click.core import Context
 
 MOST_WIDTH = 120
-"""Characters. Longer lines lose the eye on its way back."""
+"""Characters; longer lines are hard to read."""
 
 OPTIONS = "Options"
-"""Heading of options that name none."""
+"""Heading of options without a panel."""
 
 _MOST_FLAG = 30
-"""Characters of flags beside which their help stands; after longer ones it begins on a line of its own."""
+"""Longest flags, in characters, with help on the same line; the help of longer ones starts on the next."""
 
 _METAVARS = {int: "N", float: "X", str: "TEXT"}
 
 
 def rendered(command: Any, context: Context, commands: Sequence[tuple[str, str, str]] = ()) -> str:
-    """The help of a command, or of a group with these (panel, name, summary) of its commands."""
+    """The help of a command, or of a group, with (panel, name, summary) of its commands."""
     width = min(shutil.get_terminal_size().columns, MOST_WIDTH)
-    arguments = [_flags(each) for each in command.params if each.param_type_name == "argument"]
+    arguments = [_flags(parameter) for parameter in command.params if parameter.param_type_name == "argument"]
     usage = " ".join([context.command_path, "[OPTIONS]", *(["COMMAND ..."] if commands else arguments)])
     blocks = [_wrapped(f"{_heading('Usage:')} {usage}", width, "       ")]
     blocks += _paragraphs(command.help or "", width)
@@ -37,7 +37,7 @@ def rendered(command: Any, context: Context, commands: Sequence[tuple[str, str, 
         sections.setdefault(panel, []).append((name, summary))
     for parameter in command.get_params(context):
         if not parameter.hidden:
-            # What every command has stands below everything else.
+            # `--help`, which every command has, comes last.
             panel = (list(sections) or [OPTIONS])[-1] if parameter.name == "help" else _panel(parameter)
             if commands:
                 panel = OPTIONS
@@ -50,18 +50,18 @@ def rendered(command: Any, context: Context, commands: Sequence[tuple[str, str, 
 
 
 def _heading(text: str) -> str:
-    """Bold where that can be seen and is wanted."""
+    """Bold, on a terminal that shows it, unless NO_COLOR is set."""
     wanted = sys.stdout.isatty() and "NO_COLOR" not in os.environ and os.environ.get("TERM") != "dumb"
     return typer.style(text, bold=True) if wanted else text
 
 
 def _paragraphs(text: str, width: int) -> list[str]:
-    """Paragraphs filled anew; what is indented stays as it is."""
-    found = []
+    """Paragraphs, filled to the width; indented ones are kept as they are."""
+    paragraphs = []
     for paragraph in inspect.cleandoc(text).split("\n\n"):
-        is_set = any(line.startswith(" ") for line in paragraph.splitlines())
-        found.append(paragraph if is_set else _wrapped(" ".join(paragraph.split()), width))
-    return [paragraph for paragraph in found if paragraph]
+        is_indented = any(line.startswith(" ") for line in paragraph.splitlines())
+        paragraphs.append(paragraph if is_indented else _wrapped(" ".join(paragraph.split()), width))
+    return [paragraph for paragraph in paragraphs if paragraph]
 
 
 def _panel(parameter: Any) -> str:
@@ -80,7 +80,7 @@ def _flags(parameter: Any) -> str:
 
 
 def _metavar(parameter: Any) -> str:
-    """What stands for the value of an option."""
+    """Placeholder for the value of an option."""
     if parameter.metavar:
         return str(parameter.metavar)
     descriptor = parameter.type_descriptor
@@ -107,7 +107,7 @@ def _help(parameter: Any) -> str:
 
 
 def _columns(rows: Sequence[tuple[str, str]], width: int) -> str:
-    """Names on the left, their help beside them."""
+    """Two columns: names, and their help."""
     indent = 4 + max([len(name) for name, _ in rows if len(name) <= _MOST_FLAG], default=_MOST_FLAG)
     lines = []
     for name, text in rows:

@@ -48,7 +48,7 @@ app = CommandList(
 
 @app.callback()
 def _group() -> None:
-    """Keep the formats below a name of their own."""
+    """A callback makes this a group: `ingest FORMAT`."""
 
 
 def _add_format(format: Format) -> None:
@@ -58,7 +58,7 @@ def _add_format(format: Format) -> None:
         parameter("scene", Scene, inspect.Parameter.empty),
         parameter("as_", As, "scan"),
         *options_of(format.name, format.options),
-        _replace("Replace a recording of that name."),
+        _replace("Replace an existing recording."),
         parameter("json_", Json, False),
     ]
 
@@ -87,16 +87,16 @@ def _add_simulator() -> None:
     def counted(what: str) -> Any:
         return Annotated[int, typer.Option(min=0, help=f"Number of {what}.")]
 
-    only = typer.Option(help="Only these, whatever the numbers say: lid_scan0,lid_demo3.", metavar="NAMES")
+    only = typer.Option(help="Only these, regardless of the numbers: lid_scan0,lid_demo3.", metavar="NAMES")
     task = typer.Option("--task", help=SimOptions.model_fields["task"].description)
     parameters = [
         parameter("root", Root, inspect.Parameter.empty),
         parameter("task", Annotated[TaskName, task], inspect.Parameter.empty),
-        parameter("scans", counted("scans of the objects, each in another place"), 5),
+        parameter("scans", counted("scans of the objects, each in another arrangement"), 5),
         parameter("demonstrations", counted("demonstrations of the task"), 14),
         parameter("only", Annotated[str, only], ""),
         *options_of("sim", SimOptions, without=("task",)),
-        _replace("Replace recordings of those names."),
+        _replace("Replace existing recordings."),
         parameter("json_", Json, False),
     ]
 
@@ -112,11 +112,11 @@ def _add_simulator() -> None:
         for outcome in outcomes:
             show_outcome(outcome)
         if n_failed:
-            say(f"  note: {n_failed} demonstrations failed at the task and were drawn anew")
+            say(f"  note: {n_failed} demonstrations failed at the task and were replaced by others")
         following = f"bask-data run {quoted(root)}"
         finish("ingest sim", outcomes, json_, following, failed_demonstrations=n_failed)
 
-    help = "Simulate a tabletop task: scans and demonstrations whose truth is known exactly."
+    help = "Simulate a tabletop task: scans and demonstrations with exact ground truth."
     add_command(app, "sim", parameters, body, help=help, epilog=EXAMPLES["sim"])
 
 

@@ -1,4 +1,4 @@
-"""Options that several commands share, and options made of the fields of a model."""
+"""Options shared by several commands, and options generated from the fields of a model."""
 
 from __future__ import annotations
 
@@ -19,9 +19,7 @@ from bask_data.params import Params, first_fault
 from bask_data.presets import PresetName
 
 Root = Annotated[Path, typer.Argument(help="The dataset's directory.", metavar="ROOT")]
-Json = Annotated[
-    bool, typer.Option("--json", help="Print the result as JSON, alone on stdout.", rich_help_panel=OUTPUT)
-]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.", rich_help_panel=OUTPUT)]
 
 
 def _only(what: str, completed: completion.Completer) -> Any:
@@ -37,26 +35,24 @@ ONLY = {
     "scene": _only("scenes", completion.scenes),
     "demonstration": _only("demonstrations", completion.demonstrations),
 }
-"""By what a stage makes one of each for."""
+"""`--only` by the scope of the artifacts that a stage makes."""
 
 Jobs = Annotated[
     int,
     typer.Option(
-        min=1, help="Items worked on at the same time, each in a process of its own.", rich_help_panel=WORKERS
+        min=1, help="Number of items to process in parallel, each in its own process.", rich_help_panel=WORKERS
     ),
 ]
 Cluster = Annotated[
     str,
-    typer.Option(
-        help="Dask scheduler to work on instead: tcp://host:8786.", metavar="ADDRESS", rich_help_panel=WORKERS
-    ),
+    typer.Option(help="Dask scheduler to run on instead: tcp://host:8786.", metavar="ADDRESS", rich_help_panel=WORKERS),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Make it again even if it is up to date.")]
+Force = Annotated[bool, typer.Option("--force", help="Make artifacts again even if they are up to date.")]
 ConfigFile = Annotated[
     Path | None,
     typer.Option(
         "--config",
-        help="YAML: a section per stage, or `stage@name` for one item. [default: ROOT/params.yaml]",
+        help="YAML with a section per stage, or `stage@name` for one item or variant. [default: ROOT/params.yaml]",
         metavar="FILE",
         rich_help_panel=ELSEWHERE,
     ),
@@ -65,8 +61,8 @@ Preset = Annotated[
     PresetName | None,
     typer.Option(
         "--preset",
-        help="How networks are trained: tabletop is the default, bask the paper's way, bask-code that of its code, "
-        "florence that of the Dense Object Nets before. Goes over the file.",
+        help="How to train and track: tabletop is the default, bask follows the paper, bask-code its code, florence "
+        "the original Dense Object Nets. Overrides the file.",
         rich_help_panel=ELSEWHERE,
     ),
 ]
@@ -74,7 +70,7 @@ Set = Annotated[
     list[str],
     typer.Option(
         "--set",
-        help="One parameter: stage.field=value. May be repeated.",
+        help="Set one parameter: stage.field=value. May be repeated.",
         metavar="STAGE.FIELD=VALUE",
         autocompletion=completion.assignments,
         rich_help_panel=ELSEWHERE,
@@ -84,30 +80,30 @@ Defaults = Annotated[
     bool,
     typer.Option(
         "--defaults",
-        help="Leave out the parameters that were recorded with the dataset: what is not given here is the default.",
+        help="Ignore the parameters recorded with the dataset: those not given here have their defaults.",
         rich_help_panel=ELSEWHERE,
     ),
 ]
-All = Annotated[bool, typer.Option("--all", help="List each artifact, not the first few of each stage.")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be made, and why, and make nothing.")]
+All = Annotated[bool, typer.Option("--all", help="List every artifact, not only the first few of each stage.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Show what would be made, and why, without making it.")]
 
 
 def parameter(
     name: str, annotation: Any, default: Any, kind: Any = inspect.Parameter.KEYWORD_ONLY
 ) -> inspect.Parameter:
-    """One parameter of a signature that is made rather than written."""
+    """One parameter of a generated signature."""
     return inspect.Parameter(name, kind, annotation=annotation, default=default)
 
 
 def options_of(command: str, model: type[Params], without: tuple[str, ...] = ()) -> list[inspect.Parameter]:
-    """The fields of a model as options, under the headings of the command and in their order."""
+    """The fields of a model as options, under the command's headings and in their order."""
     fields = {name: field for name, field in model.model_fields.items() if name not in without}
     panels = panels_of(command, list(fields))
     return [_option(name, fields[name], panel) for name, panel in panels.items() if name in fields]
 
 
 def _option(name: str, field: Any, panel: str) -> inspect.Parameter:
-    """One field of a model as an option. Unset stays None, so that the configuration below it is seen."""
+    """One field of a model as an option. An unset option is None and leaves the value to the configuration."""
     flag = "--" + name.replace("_", "-")
     annotation = _plain_type(field.annotation)
     default = field.get_default(call_default_factory=True)
@@ -119,14 +115,14 @@ def _option(name: str, field: Any, panel: str) -> inspect.Parameter:
 
 
 def _metavar(field: Any) -> str | None:
-    """What stands for a value that is several, or a file; None leaves it to the type."""
+    """Placeholder for the value if it is a list or a file; None leaves it to the type."""
     if isinstance(field.json_schema_extra, dict) and field.json_schema_extra.get("file"):
         return "FILE"
     return "A,B,..." if _is_sequence(field.annotation) else None
 
 
 def _plain_type(annotation: Any) -> Any:
-    """The type of an option; what is no number, flag or choice is text, and checked by the model."""
+    """The type of an option: number, flag, choice, or otherwise text, which the model checks."""
     if get_origin(annotation) is Literal:
         return annotation
     if get_origin(annotation) in (typing.Union, types.UnionType):
@@ -144,7 +140,7 @@ def _as_text(value: Any) -> str:
 
 
 def given_options(model: type[Params], options: dict[str, Any]) -> dict[str, Any]:
-    """The options that were set, lists split at commas."""
+    """The options that were set, with lists split at commas."""
     given = {name: value for name, value in options.items() if name in model.model_fields and value is not None}
     for name, value in given.items():
         if isinstance(value, str) and _is_sequence(model.model_fields[name].annotation):
@@ -161,10 +157,10 @@ def _is_sequence(annotation: Any) -> bool:
 def add_command(
     target: CommandList, name: str, parameters: list[inspect.Parameter], body: Callable[..., None], **texts: Any
 ) -> None:
-    """Add a command whose signature is made here: Typer reads options off signatures only.
+    """Add a command with a generated signature: Typer reads options only from signatures.
 
     Args:
-        texts: its `help`, and `epilog` with examples.
+        texts: `help`, and `epilog` with examples.
     """
 
     def command(**arguments: Any) -> None:
@@ -176,7 +172,7 @@ def add_command(
 
 
 def checked_options(model: type[Params], options: dict[str, Any], where: str) -> Params:
-    """The model with the options that were set; `UsageError` names the option that it refuses."""
+    """The model with the options that were set; `UsageError` if it refuses one, naming the option."""
     from pydantic import ValidationError
 
     try:
@@ -188,5 +184,5 @@ def checked_options(model: type[Params], options: dict[str, Any], where: str) ->
 
 
 def names_of(text: str) -> list[str]:
-    """Names separated by commas."""
+    """The names in a comma-separated list."""
     return [name.strip() for name in text.split(",") if name.strip()]

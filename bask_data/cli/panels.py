@@ -1,11 +1,11 @@
-"""Headings under which long commands list their options; what is named nowhere stands under `Parameters`."""
+"""Headings under which long commands list their options; options not listed here are under `Parameters`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 EVERYDAY = "Options"
-"""The first heading: what most calls need."""
+"""The first heading: the options that most calls need."""
 
 OTHERS = "Parameters"
 ELSEWHERE = "Parameters from elsewhere"
@@ -96,6 +96,6 @@ PANELS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
 def panels_of(command: str, fields: list[str]) -> dict[str, str]:
     """The heading of each field of a command's parameters, in the order in which they are listed."""
     table = PANELS.get(command, {})
-    found = {field: panel for panel, members in table.items() for field in members}
-    few = EVERYDAY if not table else OTHERS
-    return {**found, **{field: few for field in fields if field not in found}}
+    listed = {field: panel for panel, members in table.items() for field in members}
+    other = OTHERS if table else EVERYDAY
+    return {**listed, **{field: other for field in fields if field not in listed}}

@@ -1,4 +1,4 @@
-"""Reference keypoints picked on a page in a browser: `reference --pick`."""
+"""Picking reference keypoints in a browser: `reference --pick`."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ PANEL = "Picking in a browser"
 
 
 def pick_options() -> list[inspect.Parameter]:
-    """Of `reference` alone: where its picks may come from besides the parameters."""
+    """The options that only `reference` has, for picking in a browser."""
     flag = typer.Option(
         "--pick",
-        help="Choose them on a page in a browser, which shows where each would be found.",
+        help="Pick keypoints on a page in a browser, which shows where each is found in other views.",
         rich_help_panel=PANEL,
     )
     port = typer.Option(
-        min=0, max=65535, help="With --pick: of the page. [default: any that is free]", rich_help_panel=PANEL
+        min=0, max=65535, help="With --pick: port of the page. [default: any free port]", rich_help_panel=PANEL
     )
     browser = typer.Option(
         "--browser/--no-browser",
-        help="With --pick: open the page, where there is a display.",
+        help="With --pick: open the page if there is a display.",
         rich_help_panel=PANEL,
     )
     return [
@@ -42,24 +42,24 @@ def pick_options() -> list[inspect.Parameter]:
 
 
 def refuse_without_pick(options: dict[str, Any]) -> None:
-    """`UsageError` for an option that only --pick knows."""
+    """`UsageError` for an option that needs --pick."""
     if options.get("port") is not None:
-        raise UsageError("reference", "--port", expected="to come with --pick", got="it alone", fix="--pick --port N")
+        raise UsageError("reference", "--port", expected="--pick as well", got="--port alone", fix="--pick --port N")
 
 
 def pick(call: StageCall, *, parameters: Path, dry_run: bool, options: dict[str, Any]) -> list[Outcome]:
-    """What was saved on the page, when it is closed; empty if nothing was.
+    """Serve the page until it is closed, and return the outcomes of saving; empty if nothing was saved.
 
     Args:
-        parameters: file that keeps the picks.
+        parameters: file in which the picks are stored.
     """
     from bask_data.picker import Picking, pick_keypoints
 
     if dry_run:
-        raise UsageError("reference", "--dry-run", expected="no --pick beside it", got="both")
+        raise UsageError("reference", "--dry-run", expected="--dry-run without --pick", got="both")
 
     def opened(url: str) -> None:
-        say(f"open {url}  (Ctrl-C ends it; unsaved keypoints are kept)")
+        say(f"open {url}  (Ctrl-C to stop; unsaved keypoints are kept)")
         if options["browser"]:
             _open_in_browser(url)
 
@@ -74,15 +74,15 @@ def pick(call: StageCall, *, parameters: Path, dry_run: bool, options: dict[str,
         try:
             outcomes = pick_keypoints(picking, say=say, opened=opened, port=options["port"] or 0)
         except KeyboardInterrupt:
-            say("interrupted: nothing was saved; what was picked is kept, and the same command goes on with it.")
+            say("interrupted: nothing was saved; the picks are kept, and the same command continues with them.")
             raise typer.Exit(130) from None
     if outcomes:
-        # The picks themselves are in the file of parameters.
+        # The picks themselves are in the parameter file.
         record_requested(call.dataset, call.stage, call.request)
     for outcome in outcomes:
         show_outcome(outcome)
     if not outcomes:
-        say("nothing was saved; the same command goes on with what was picked.")
+        say("nothing was saved; the same command continues with the picks.")
     return outcomes
 
 

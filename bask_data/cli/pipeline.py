@@ -1,4 +1,4 @@
-"""Commands over the whole pipeline: `run` and `status`."""
+"""Commands for the whole pipeline: `run` and `status`."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def run_all(
 ) -> None:
     """Make everything that is missing or stale, in order.
 
-    It says which stage it is at and how long it will take, and ends with what there is and how good it is. What was
-    finished before an interruption is kept: the same command goes on from there.
+    Shows the current stage and the time left, and ends with a summary of the artifacts and their quality. Finished
+    work survives an interruption: run the same command again to continue.
     """
     dataset = Dataset(root)
     dataset.recover()
@@ -91,9 +91,9 @@ def status(
     defaults: Defaults = False,
     json_: Json = False,
 ) -> None:
-    """Say what is up to date, and of what is not, why.
+    """Show what is up to date and what is not, and why.
 
-    Artifacts are compared with the parameters that were asked for when they were made, which the dataset keeps.
+    Artifacts are compared with the parameters requested when they were made, which the dataset records.
     """
     request = request_of(root, config, set_, preset=preset, defaults=defaults)
     found = list(standings(Dataset(root), STAGES, request))

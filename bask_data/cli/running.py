@@ -1,4 +1,4 @@
-"""A run as a person sees it: where it is and how long it takes, what came of each task, and what it ends with."""
+"""What a run shows: current stage and time left, the outcome of each task, and a summary at the end."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from bask_data.pipeline import STAGES
 AFTER_DRY_RUN = "the same without --dry-run"
 
 MOST_LISTED = 3
-"""Artifacts of a stage that a summary names; further ones are counted."""
+"""Artifacts of a stage that a summary lists; the others are counted."""
 
 STATUSES = ("up to date", "would make", "stale", "missing", "blocked")
-"""In the order in which a summary counts them."""
+"""Statuses in the order in which a summary counts them."""
 
 
 def made(dataset: Dataset, request: RunRequest, *, jobs: int, cluster: str, force: bool) -> list[Outcome]:
-    """Make what is asked for, and show how it goes."""
-    foreseen = list(run_pipeline(dataset, STAGES, request, force=force, dry_run=True))
-    course = Course(Forecast(dataset.root, foreseen, jobs), is_pipeline=not request.stages)
+    """Make what is requested, and show the progress."""
+    predicted = list(run_pipeline(dataset, STAGES, request, force=force, dry_run=True))
+    course = Course(Forecast(dataset.root, predicted, jobs), is_pipeline=not request.stages)
     with shown_progress(), executor_of(jobs, cluster) as executor:
         outcomes = run_pipeline(dataset, STAGES, request, executor=executor, force=force, begin=course.begin)
         return list(course.shown(outcomes))
 
 
 class Course:
-    """The course of a run on stderr.
+    """Shows the course of a run on stderr.
 
     Args:
-        is_pipeline: of all stages, of which what is up to date is counted, not listed.
+        is_pipeline: whether all stages run; artifacts that are up to date are then counted, not listed.
     """
 
     def __init__(self, forecast: Forecast, is_pipeline: bool) -> None:
@@ -45,9 +45,9 @@ class Course:
         self._begun = time.monotonic()
 
     def begin(self, at: Position) -> None:
-        """Say what begins, unless it is up to date: which stage of how many, which item, and the time left."""
+        """Print what begins, unless it is up to date: number of the stage, item, and time left."""
         kind = self._kinds[at.stage]
-        if not self._forecast.is_awaited(kind, at.item):
+        if not self._forecast.is_pending(kind, at.item):
             return
         variant = "" if at.variant == "main" else f" {at.variant}"
         stages = f"stage {at.stage_number} of {at.n_stages}: " if at.n_stages > 1 else ""
@@ -64,10 +64,10 @@ class Course:
         return f", {'about' if is_all else 'more than'} {duration(seconds)} left"
 
     def shown(self, outcomes: Iterable[Outcome]) -> Iterator[Outcome]:
-        """The same outcomes, each shown as it comes."""
+        """The same outcomes, each shown when it arrives."""
         counted: Counter[str] = Counter()
         for outcome in outcomes:
-            self._forecast.came(outcome)
+            self._forecast.count(outcome)
             if self._is_pipeline and outcome.status == "up to date":
                 counted[outcome.kind] += 1
             else:
@@ -79,7 +79,7 @@ class Course:
 
 
 def _show_findings(outcome: Outcome) -> None:
-    """What a stage wants a person to know."""
+    """Print the summary and the warnings of an artifact."""
     from bask_data.kinds import KINDS
 
     if outcome.status == "made":
@@ -91,35 +91,35 @@ def _show_findings(outcome: Outcome) -> None:
 
 
 def result_lines(outcomes: Sequence[Outcome]) -> list[str]:
-    """What a run made, and how good it is: a line a stage."""
+    """A line per stage: what a run made, and its quality."""
     from bask_data.kinds import KINDS
     from bask_data.kinds.headlines import headline
 
-    there = [outcome for outcome in outcomes if outcome.status in ("made", "up to date")]
+    present = [outcome for outcome in outcomes if outcome.status in ("made", "up to date")]
     lines = []
     for kind in KINDS:
-        own = [outcome for outcome in there if outcome.kind == kind.kind]
+        own = [outcome for outcome in present if outcome.kind == kind.kind]
         n_made = sum(outcome.status == "made" for outcome in own)
         if own:
             counts = f"{n_made} made" + (f", {len(own) - n_made} up to date" if n_made < len(own) else "")
-            says = headline([kind(Path(outcome.path)) for outcome in own])
-            lines.append(f"  {kind.kind:<16} {counts}{f';  {says}' if says else ''}")
+            quality = headline([kind(Path(outcome.path)) for outcome in own])
+            lines.append(f"  {kind.kind:<16} {counts}{f';  {quality}' if quality else ''}")
     return lines
 
 
 def print_forecast(command: str, outcomes: Sequence[Outcome], every: bool) -> None:
-    """What a dry run says would be made."""
+    """Print what a dry run would make."""
     rows = [(outcome.position.stage if outcome.position else command, outcome) for outcome in outcomes]
     print_result(command, summary([(stage, o.label, o.status, o.why) for stage, o in rows], every), {}, False)
 
 
 def standing_lines(standings: Sequence[Standing], every: bool) -> list[str]:
-    """What is up to date and what is not."""
+    """Lines that show what is up to date and what is not."""
     return summary([(each.stage, each.label, each.state.status, each.state.why) for each in standings], every)
 
 
 def summary(rows: Sequence[tuple[str, str, str, str]], every: bool) -> list[str]:
-    """Of (stage, label, status, why): each, or else a line of counts a stage with the first that are not up to date."""
+    """Lines for (stage, label, status, why): each, or counts per stage and the first that are not up to date."""
     if every:
         return [_line(label, status, why) for _, label, status, why in rows]
     lines = []

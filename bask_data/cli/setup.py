@@ -1,4 +1,4 @@
-"""Commands about this machine: `doctor` and `completion`."""
+"""Commands for setting up a machine: `doctor` and `completion`."""
 
 from __future__ import annotations
 
@@ -21,18 +21,20 @@ app = CommandList()
     """
 )
 def doctor(
-    folder: Annotated[Path | None, typer.Option(help="Where datasets will go: is there room?", metavar="DIR")] = None,
+    folder: Annotated[
+        Path | None, typer.Option(help="Folder for datasets, to check for free space.", metavar="DIR")
+    ] = None,
     json_: Json = False,
 ) -> None:
-    """Say what this machine lacks, and the line that brings it.
+    """Check this machine, and print how to install what is missing.
 
-    Leaves with exit code 5 if something that every command needs is missing.
+    Exits with code 5 if something that every command needs is missing.
     """
     from bask_data import doctor as examiner
 
-    found = examiner.checks(folder)
-    print(examiner.as_json(found) if json_ else examiner.render(found))
-    if examiner.missing(found):
+    checks = examiner.checks(folder)
+    print(examiner.as_json(checks) if json_ else examiner.render(checks))
+    if examiner.missing(checks):
         raise typer.Exit(MissingDependency.exit_code)
 
 
@@ -44,11 +46,11 @@ def doctor(
     """
 )
 def completion(shell: Annotated[Literal["bash", "zsh", "fish"], typer.Argument(help="The shell.")]) -> None:
-    """Print the script that makes the Tab key complete commands and names.
+    """Print the shell script for completion of commands and names.
 
-    Run the line of your shell below once and open a new terminal. Tab then completes commands and options, scenes and
-    demonstrations after --only, variants after --variant, and parameters after --set; where names belong to a dataset,
-    its ROOT has to stand before them. zsh reads ~/.zfunc where ~/.zshrc has `fpath+=~/.zfunc; autoload -Uz compinit;
+    Run the line for your shell below once and open a new terminal. Tab then completes commands and options, scenes and
+    demonstrations after --only, variants after --variant, and parameters after --set; names in a dataset are completed
+    once its ROOT is on the line. zsh reads ~/.zfunc if ~/.zshrc contains `fpath+=~/.zfunc; autoload -Uz compinit;
     compinit`.
     """
     from bask_data.cli.completion import script

@@ -1,4 +1,4 @@
-"""Commands that hand a dataset on: `export` and `dvc`."""
+"""Commands for sharing a dataset: `export` and `dvc`."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from bask_data.pipeline import STAGES
 if TYPE_CHECKING:
     FormatName = str
 else:
-    FormatName = Literal[tuple(format.name for format in FORMATS)]  # Typer reads the choices off the type.
+    FormatName = Literal[tuple(format.name for format in FORMATS)]  # Typer reads the choices from the type.
 
 FORMATS_HELP = " ".join(f"{format.name}: {format.help}." for format in FORMATS)
 OUT_HELP = "".join(
-    ["Folder to write", *(f"; {one.name}: file, ending in {one.suffixes[0]}" for one in FORMATS if one.is_file), "."]
+    ["Folder to write", *(f"; {format.name}: a {format.suffixes[0]} file" for format in FORMATS if format.is_file), "."]
 )
 
 NAMES = "Which demonstrations"
@@ -31,14 +31,14 @@ KEYPOINTS = "Keypoints"
 
 
 def _demonstrations(help: str) -> Any:
-    """An option that takes names of demonstrations."""
+    """An option whose value is names of demonstrations."""
     return typer.Option(help=help, metavar="NAMES", rich_help_panel=NAMES, autocompletion=completion.demonstrations)
 
 
 TrackVariant = Annotated[
     str,
     typer.Option(
-        help="Of the keypoints.",
+        help="Variant of the keypoints.",
         metavar="NAME",
         rich_help_panel=KEYPOINTS,
         autocompletion=completion.variants_of("keypoints"),
@@ -47,7 +47,7 @@ TrackVariant = Annotated[
 Noise = Annotated[
     float,
     typer.Option(
-        help="Standard deviation of noise added to keypoints, metres; the paper's policies: 0.02.",
+        help="Standard deviation of noise added to keypoints, in metres; the paper's policies use 0.02.",
         rich_help_panel=KEYPOINTS,
     ),
 ]
@@ -65,20 +65,20 @@ def export(
     format: Annotated[FormatName, typer.Argument(help=FORMATS_HELP, metavar="FORMAT")],
     root: Root,
     out: Annotated[Path, typer.Argument(help=OUT_HELP, metavar="OUT")],
-    videos: Annotated[bool, typer.Option("--videos", help="Take the cameras' images along.")] = False,
+    videos: Annotated[bool, typer.Option("--videos", help="Include the cameras' images.")] = False,
     task: Annotated[
-        str, typer.Option(help="What is done, in words. [default: as the source says, or else the dataset's name]")
+        str, typer.Option(help="Description of the task. [default: that of the source, otherwise the dataset's name]")
     ] = "",
-    force: Annotated[bool, typer.Option("--force", help="Replace an export.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing export.")] = False,
     only: Annotated[str, _demonstrations("Only these demonstrations, separated by commas.")] = "",
     validation: Annotated[str, _demonstrations("Demonstrations to validate on.")] = "",
-    test: Annotated[str, _demonstrations("Demonstrations kept for the test.")] = "",
+    test: Annotated[str, _demonstrations("Demonstrations to test on.")] = "",
     variant: TrackVariant = "main",
     noise: Noise = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the noise.", rich_help_panel=KEYPOINTS)] = 0,
     json_: Json = False,
 ) -> None:
-    """Write demonstrations with their keypoints as the files that policies learn from."""
+    """Write demonstrations and their keypoints in a format for policy learning."""
     from bask_data.export import ExportSettings
     from bask_data.export import export as write_export
 
@@ -103,14 +103,12 @@ def export(
 )
 def dvc(
     root: Root,
-    check: Annotated[
-        bool, typer.Option("--check", help="Only say whether the files are what would be written.")
-    ] = False,
+    check: Annotated[bool, typer.Option("--check", help="Only check whether the files are up to date.")] = False,
     config: ConfigFile = None,
     preset: Preset = None,
     json_: Json = False,
 ) -> None:
-    """Write dvc.yaml and params.yaml, so that `dvc repro` runs and records the pipeline."""
+    """Write dvc.yaml and params.yaml, to run the pipeline with `dvc repro`."""
     from bask_data.dvc import compared_files, written_files
 
     files = (compared_files if check else written_files)(Dataset(root), STAGES, parameters_of(root, config, [], preset))

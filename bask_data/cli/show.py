@@ -1,4 +1,4 @@
-"""Commands to look with: `report` and `view`."""
+"""Commands for looking at a dataset: `report` and `view`."""
 
 from __future__ import annotations
 
@@ -26,13 +26,15 @@ WHERE = "Where it is shown"
 
 Save = Annotated[
     Path | None,
-    typer.Option(help="Write the recording to this file, ending in .rrd.", metavar="FILE", rich_help_panel=WHERE),
+    typer.Option(help="Write a Rerun recording to this file, ending in .rrd.", metavar="FILE", rich_help_panel=WHERE),
 ]
-Web = Annotated[bool, typer.Option("--web", help="Show it in a browser; needs no display here.", rich_help_panel=WHERE)]
+Web = Annotated[
+    bool, typer.Option("--web", help="Show it in a browser; needs no display on this machine.", rich_help_panel=WHERE)
+]
 Port = Annotated[
     int | None,
     typer.Option(
-        help="With --web: of the viewer; the next one is taken too. [default: 9090]",
+        help="With --web: port of the viewer, which also uses the next port. [default: 9090]",
         min=1,
         max=65534,
         rich_help_panel=WHERE,
@@ -41,19 +43,20 @@ Port = Annotated[
 Video = Annotated[
     Path | None,
     typer.Option(
-        help="Instead: keypoints over frames, an mp4 of each demonstration in this folder.",
+        help="Instead, write an mp4 of each demonstration with its keypoints to this folder.",
         metavar="DIR",
         rich_help_panel=WHERE,
     ),
 ]
-Every = Annotated[int, typer.Option(min=1, help="Show each so many-th frame.", rich_help_panel=SHOWN)]
+Every = Annotated[int, typer.Option(min=1, help="Show every N-th frame.", rich_help_panel=SHOWN)]
 Pairs = Annotated[
-    int, typer.Option(min=0, help="Most pairs of views whose matches are shown, a scene.", rich_help_panel=SHOWN)
+    int,
+    typer.Option(min=0, help="Largest number of pairs of views per scene to show matches of.", rich_help_panel=SHOWN),
 ]
 ShownVariant = Annotated[
     str,
     typer.Option(
-        help="Of network, heat maps and keypoints.",
+        help="Variant of network, heat maps and keypoints.",
         metavar="NAME",
         rich_help_panel=SHOWN,
         autocompletion=completion.variants_of("descriptor", "reference", "keypoints"),
@@ -62,10 +65,12 @@ ShownVariant = Annotated[
 Beliefs = Annotated[
     bool,
     typer.Option(
-        "--beliefs", help="Track again, to show the filter's particles or maps in each frame.", rich_help_panel=SHOWN
+        "--beliefs",
+        help="Repeat the tracking to show the filter's particles or maps in each frame.",
+        rich_help_panel=SHOWN,
     ),
 ]
-Replace = Annotated[bool, typer.Option("--force", help="Replace files.", rich_help_panel=OUTPUT)]
+Replace = Annotated[bool, typer.Option("--force", help="Replace existing files.", rich_help_panel=OUTPUT)]
 
 app = CommandList()
 
@@ -81,7 +86,7 @@ def report(
     out: Annotated[Path | None, typer.Option(help="File to write. [default: ROOT/report.html]", metavar="FILE")] = None,
     json_: Json = False,
 ) -> None:
-    """Write one HTML page with pictures of everything the dataset holds, and how good it is."""
+    """Write an HTML page with pictures and quality figures of everything in a dataset."""
     from bask_data.report import measure, summarise, write_report
 
     dataset = Dataset(root)
@@ -115,9 +120,9 @@ def view(
     force: Replace = False,
     json_: Json = False,
 ) -> None:
-    """Walk through scenes and demonstrations in the Rerun viewer, or save what it shows.
+    """Show scenes and demonstrations in the Rerun viewer, or save them as a file.
 
-    Without --save, --web or --video it opens a window.
+    Opens a window unless --save, --web or --video is given.
     """
     from bask_data.view.choice import Choice
 
@@ -144,7 +149,7 @@ def _refuse_without_window(save: Path | None, web: bool, port: int | None) -> No
     from bask_data.view.windows import has_display
 
     if port is not None and not web:
-        raise UsageError("view", "--port", expected="to come with --web", got="it alone", fix="--web --port N")
+        raise UsageError("view", "--port", expected="--web as well", got="--port alone", fix="--web --port N")
     if not (save or web or has_display()):
         fix = "use --web, or --save FILE.rrd."
         raise UsageError("view", "", expected="a display to open a window on", got="none", fix=fix)
@@ -153,7 +158,7 @@ def _refuse_without_window(save: Path | None, web: bool, port: int | None) -> No
 def _open_viewer(
     dataset: Dataset, choice: Choice, save: Path | None, force: bool, as_json: bool, port: int | None
 ) -> None:
-    """Write the recording, to keep or for a while, and show it in a browser, in a window, or not at all."""
+    """Write the Rerun recording, permanently or to a temporary file, and show it if wanted."""
     from bask_data.view.saving import save_recording
     from bask_data.view.windows import serve, show
 
@@ -161,15 +166,15 @@ def _open_viewer(
         file = save or Path(folder) / f"{dataset.root.resolve().name}.rrd"
         with shown_progress():
             shown = save_recording(dataset, file, choice, force=force)
-        for name, each in shown.items():
-            for line in _shown_lines(name, each):
+        for name, item in shown.items():
+            for line in _shown_lines(name, item):
                 say(line)
         saved = {"file": str(save) if save else None, "bytes": file.stat().st_size}
-        print_result("view", [], {**saved, "items": {name: vars(each) for name, each in shown.items()}}, as_json)
+        print_result("view", [], {**saved, "items": {name: vars(item) for name, item in shown.items()}}, as_json)
         if save:
             say(f"made {file}  ({file.stat().st_size / 1e6:.1f} MB; open it with: rerun {quoted(file)})")
         if port is not None:
-            serve(file, port, say=lambda url: say(f"open {url}  (Ctrl-C ends it)"))
+            serve(file, port, say=lambda url: say(f"open {url}  (Ctrl-C to stop)"))
         elif not save:
             show(file)
 
@@ -189,4 +194,4 @@ def _shown_lines(name: str, shown: Any) -> Iterator[str]:
     layers = ", ".join(layer for layer in shown.layers if layer != "frames")
     yield f"  shown       {name}: {'; '.join(part for part in (frames, layers) if part) or 'nothing'}"
     if shown.missing:
-        yield f"  not there   {name}: {', '.join(shown.missing)}"
+        yield f"  missing     {name}: {', '.join(shown.missing)}"

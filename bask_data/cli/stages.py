@@ -1,4 +1,4 @@
-"""A command per stage, read off its signature and the model of its parameters."""
+"""A command per stage, generated from its signature and the model of its parameters."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ app = CommandList()
 
 
 def _signature(stage: Stage) -> list[inspect.Parameter]:
-    """Positional parameters first, as a signature wants them; everyday options before the others."""
+    """Parameters of the command: positional ones first, as a signature requires, then the everyday options."""
     parameters = [parameter("root", Root, inspect.Parameter.empty)]
     if stage.makes.scope != "dataset":
         parameters.append(parameter("only", ONLY[stage.makes.scope], ""))
@@ -95,20 +95,20 @@ def _signature(stage: Stage) -> list[inspect.Parameter]:
 
 
 def _variant_options(stage: Stage) -> list[inspect.Parameter]:
-    """The name of the result, and of each input that has several."""
+    """Options for the variant to make, and for the variant of each input that has them."""
 
     def option(flag: str, kind: str, help: str) -> Any:
         completed = completion.variants_of(kind)
         return Annotated[str, typer.Option(flag, help=help, metavar="NAME", autocompletion=completed)]
 
-    help = "Name of this result, to keep several beside each other."
-    found = [parameter("variant", option("--variant", stage.makes.kind, help), "main")]
-    for given in stage.inputs:
-        if given.artifact.has_variants:
-            kind = given.artifact.kind
+    help = "Name of the variant to make, to keep several side by side."
+    options = [parameter("variant", option("--variant", stage.makes.kind, help), "main")]
+    for input_ in stage.inputs:
+        if input_.artifact.has_variants:
+            kind = input_.artifact.kind
             help = f"Variant of the {kind} to use. [default: that of --variant]"
-            found.append(parameter(f"variant_of_{kind}", option(f"--{kind}", kind, help), ""))
-    return found
+            options.append(parameter(f"variant_of_{kind}", option(f"--{kind}", kind, help), ""))
+    return options
 
 
 def _run(stage: Stage, root: Path, dry_run: bool, force: bool, options: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""What the parser of the command line refuses, in the form of every other error: where, expected, got, fix."""
+"""Errors of the command-line parser in the form of all others: where, expected, got, fix."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from bask_data.spelling import suggestion
 
 
 def from_parser(error: typer.TyperException, context: Context, values: dict[str, Any]) -> UsageError:
-    """Our form of an error of the parser, whose classes Typer does not name in public: their attributes tell them.
+    """A parser's error in our form. Typer does not export the classes of these errors; attributes distinguish them.
 
     Args:
-        values: what was typed for each parameter, before it was converted.
+        values: the value given for each parameter, before conversion.
     """
     where = context.command_path
-    help_ = f"`{where} --help` lists what it takes."
+    help_ = f"see `{where} --help`."
     name = getattr(error, "option_name", "")
     parameter = getattr(error, "param", None)
     if hasattr(error, "possibilities"):
-        options = [text for each in context.command.params for text in (*each.opts, *each.secondary_opts)]
+        options = [flag for option in context.command.params for flag in (*option.opts, *option.secondary_opts)]
         fix = suggestion(name, options) or help_
         return UsageError(where, "", expected="an option of this command", got=name, fix=fix)
     if name:
         option: Any
         [option] = [each for each in context.command.get_params(context) if name in (*each.opts, *each.secondary_opts)]
         if option.is_flag:
-            return UsageError(where, name, expected="no value", got="one", fix=f"write {name} alone.")
+            return UsageError(where, name, expected="no value", got="a value", fix=f"write {name} alone.")
         return UsageError(where, name, expected=expected_of(option), got="none", fix=help_)
     if parameter is None:
-        return UsageError(where, "", expected="another command line", got=error.format_message(), fix=help_)
+        return UsageError(where, "", expected="a valid command line", got=error.format_message(), fix=help_)
     field = shown_name(parameter)
     if hasattr(error, "param_type"):
         return UsageError(where, field, expected=_meaning(parameter), got="none", fix=help_)
@@ -45,28 +45,28 @@ def from_parser(error: typer.TyperException, context: Context, values: dict[str,
 
 
 def extra_arguments(extra: list[str], context: Context) -> UsageError:
-    """Of words that no argument takes."""
-    arguments = [shown_name(each) for each in context.command.params if each.param_type_name == "argument"]
+    """The error for superfluous arguments."""
+    arguments = [shown_name(argument) for argument in context.command.params if argument.param_type_name == "argument"]
     expected = f"{' '.join(arguments) or 'no argument'} and nothing more"
-    fix = f"`{context.command_path} --help` lists what it takes; put a text with spaces into quotes."
+    fix = f"see `{context.command_path} --help`; put text with spaces in quotes."
     return UsageError(context.command_path, "", expected=expected, got=" ".join(extra), fix=fix)
 
 
 def unknown_command(name: str, known: list[str], context: Context) -> UsageError:
-    """Of a command that does not exist."""
+    """The error for a command that does not exist."""
     fix = suggestion(name, known) or f"`{context.command_path} --help` lists the commands."
     return UsageError(context.command_path, "", expected="one of its commands", got=name, fix=fix)
 
 
 def shown_name(parameter: Any) -> str:
-    """An option by its longest flag, an argument by its name in capitals."""
+    """A parameter as errors name it: an option by its longest flag, an argument by its name in capitals."""
     if parameter.param_type_name == "option":
         return str(max(parameter.opts, key=len))
     return str(parameter.metavar or parameter.name.upper())
 
 
 def _meaning(parameter: Any) -> str:
-    """What a parameter that has to be given is, as its help begins."""
+    """The meaning of a required parameter: its choices, or the first sentence of its help."""
     if parameter.type_descriptor.choices:
         return expected_of(parameter)
     first = (parameter.help or parameter.name).split(". ")[0].rstrip(".")
@@ -74,7 +74,7 @@ def _meaning(parameter: Any) -> str:
 
 
 def expected_of(parameter: Any) -> str:
-    """What a parameter takes, in words."""
+    """The values that a parameter accepts, in words."""
     descriptor = parameter.type_descriptor
     annotation = descriptor.annotation
     if get_origin(annotation) is list:

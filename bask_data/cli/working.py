@@ -1,4 +1,4 @@
-"""What commands that make artifacts share: what is asked for, workers, and what is printed at the end."""
+"""Shared by commands that make artifacts: the request, the workers, and the final messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from bask_data.presets import PresetName
 
 @contextmanager
 def executor_of(jobs: int, cluster: str) -> Iterator[Executor | None]:
-    """Where items are worked on: here, in a pool of processes, or on a Dask cluster."""
+    """Where items are processed: None for this process, a pool of processes, or a Dask cluster."""
     if cluster:
         with imported("distributed", "Dask", user="--cluster", extra="cluster").Client(cluster) as client:
             yield client.get_executor()
@@ -41,14 +41,14 @@ def executor_of(jobs: int, cluster: str) -> Iterator[Executor | None]:
 
 
 def quoted(path: Path) -> str:
-    """A path as it can be pasted into a shell."""
+    """A path quoted for a shell."""
     return shlex.quote(str(path))
 
 
 def parameters_of(
     root: Path, config: Path | None, assignments: Sequence[str], preset: PresetName | None = None
 ) -> Config:
-    """Of `--config`, or else of the dataset's own params.yaml, with `--preset` and then `--set` over them."""
+    """Parameters from `--config` or the dataset's own params.yaml, overridden by `--preset` and then `--set`."""
     own = _own_file(root)
     return load_config(config or (own if own.exists() else None), assignments, STAGES, preset)
 
@@ -60,14 +60,14 @@ def request_of(
     *,
     preset: PresetName | None = None,
     defaults: bool = False,
-    **asked: Any,
+    **fields: Any,
 ) -> RunRequest:
-    """What is asked for, with the parameters of a file, a preset and `--set`.
+    """A request with the parameters from a file, a preset and `--set`.
 
     Args:
-        config: the dataset's own params.yaml is as good as none: it counts anyway.
-        defaults: parameters recorded with the dataset do not count.
-        asked: further fields of the request.
+        config: the dataset's own params.yaml is the same as None: it is used anyway.
+        defaults: ignore the parameters recorded with the dataset.
+        fields: further fields of the request.
     """
     own = _own_file(root)
     if config is not None and own.exists() and config.resolve() == own.resolve():
@@ -76,7 +76,7 @@ def request_of(
         given=load_config(config, assignments, STAGES, preset),
         standing=load_config(own, [], STAGES) if config is None and own.exists() else {},
         replaces=defaults or config is not None,
-        **asked,
+        **fields,
     )
 
 
@@ -85,7 +85,7 @@ def _own_file(root: Path) -> Path:
 
 
 def finish(command: str, outcomes: Sequence[Outcome], as_json: bool, next_command: str = "", **more: Any) -> None:
-    """Print the outcomes as JSON, if wanted, then the sum, and leave with the exit code of the first failure."""
+    """Print the outcomes as JSON, if requested, then the totals; exit with the code of the first failure."""
     if as_json:
         rows = [
             {
@@ -99,10 +99,10 @@ def finish(command: str, outcomes: Sequence[Outcome], as_json: bool, next_comman
     failed = [outcome for outcome in outcomes if outcome.status == "failed"]
     blocked = [outcome for outcome in outcomes if outcome.status == "blocked"]
     if failed:
-        say(f"{len(failed)} failed, {len(blocked)} blocked, {len(outcomes) - len(failed) - len(blocked)} fine.")
+        say(f"{len(failed)} failed, {len(blocked)} blocked, {len(outcomes) - len(failed) - len(blocked)} succeeded.")
         raise typer.Exit(failed[0].error.exit_code if failed[0].error else 1)
     if blocked:
-        # What lacks a recording comes before what lacks the results of others.
+        # A missing recording comes first: it is the cause of missing artifacts.
         reasons = sorted((o.blocked for o in blocked if o.blocked), key=lambda reason: reason.kind != "no items")
         say(f"{len(blocked)} blocked: an input is missing.  fix: {reasons[0].fix}")
         raise typer.Exit(UsageError.exit_code)
@@ -111,7 +111,7 @@ def finish(command: str, outcomes: Sequence[Outcome], as_json: bool, next_comman
 
 
 def attributes_of(outcome: Outcome) -> dict[str, Any]:
-    """What the artifact states of itself; empty where there is none."""
+    """The metadata stored in the artifact; empty if there is none."""
     if outcome.status not in ("made", "up to date") or not outcome.path:
         return {}
     from bask_data.artifact import Artifact

@@ -1,22 +1,23 @@
-"""The engine: declares stages, plans what they have to make, and makes it. Everything is read off a stage's signature.
+"""The engine: declares stages, plans what they have to make, and makes it. A stage's signature defines everything.
 
-A parameter annotated with a kind is an input: of the same item if the kind has the stage's scope, the dataset's one if
-the kind belongs to the dataset, and all items' if it is `list[Kind]`. Parameters may do without some (`Params.reads`);
-a single input that may be missing so is annotated `Kind | None`. `params` holds what changes the result, `out` is
-the empty directory to fill, `Splits` gives the dataset's splits; `log`, if it is asked for, is a directory outside the
-artifact for what differs from run to run. Exactly one stage makes a kind, so the graph needs no names.
+A parameter annotated with a kind is an input: the artifact of the same item if the kind has the stage's scope, the
+dataset's only one if the kind belongs to the dataset, and those of all items if it is `list[Kind]`. Depending on the
+parameters a stage may not need some of them (`Params.reads`); a single input that can be absent is annotated
+`Kind | None`. `params` holds what changes the result, `out` is the empty directory to fill, `Splits` gives the
+dataset's splits; `log`, if present, is a directory outside the artifact for what differs between runs. Exactly one
+stage makes a kind, so the graph needs no names.
 """
 
 from bask_data.dataset import Splits
 from bask_data.engine.declare import Stage, in_order, stage
 from bask_data.engine.group import follow, is_follower, processes
-from bask_data.engine.making import Outcome, Position, foretold, make, run
+from bask_data.engine.making import Outcome, Position, make, predicted, run
 from bask_data.engine.pipeline import PlannedStage, Standing, planned, run_pipeline, status
 from bask_data.engine.publishing import Origin, published, scratches
 from bask_data.engine.requested import REQUESTED, Requested, RunRequest, read_requested, record_requested
 from bask_data.engine.sections import Config, laid_over, sections_for
 from bask_data.engine.snapshot import Snapshot
-from bask_data.engine.state import Blocked, State, key_parts, state_of, state_told
+from bask_data.engine.state import Blocked, State, key_parts, state_of, state_or_blocked
 from bask_data.engine.tasks import Task, parameter_files, plan, resolve
 from bask_data.params import Params
 from bask_data.progress import progress
@@ -39,7 +40,6 @@ __all__ = [
     "State",
     "Task",
     "follow",
-    "foretold",
     "in_order",
     "is_follower",
     "key_parts",
@@ -48,6 +48,7 @@ __all__ = [
     "parameter_files",
     "plan",
     "planned",
+    "predicted",
     "processes",
     "progress",
     "published",
@@ -60,6 +61,6 @@ __all__ = [
     "sections_for",
     "stage",
     "state_of",
-    "state_told",
+    "state_or_blocked",
     "status",
 ]

@@ -1,4 +1,4 @@
-"""What a stage's function is called with."""
+"""Arguments of a stage's function."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from bask_data.dataset import Splits
 from bask_data.engine.tasks import Task
 
 RUNS = "runs"
-"""Folder of a dataset where stages log what differs from run to run, as `provenance` tells who made what."""
+"""Folder of a dataset for logs of stages: like `provenance`, they differ between runs."""
 
 
 def arguments_of(task: Task) -> dict[str, Any]:
-    """What a stage's function is called with, but for `out`."""
+    """The arguments of a task's function, except `out`; `BadData` if an input is damaged or incomplete."""
     arguments: dict[str, Any] = {}
-    for given in task.stage.inputs:
-        handles = [given.artifact(task.input_path(binding)) for binding in task.inputs[given.name]]
+    for input_ in task.stage.inputs:
+        handles = [input_.artifact(task.input_path(binding)) for binding in task.inputs[input_.name]]
         for handle in handles:
             handle.check_complete()
-        arguments[given.name] = handles if given.gather else next(iter(handles), None)
+        arguments[input_.name] = handles if input_.gather else next(iter(handles), None)
     hints = typing.get_type_hints(task.stage.function)
     for name, hint in hints.items():
         if hint is Splits:

@@ -1,4 +1,4 @@
-"""How a function is declared as a stage: its inputs, parameters and what it makes are read off its signature."""
+"""Declaring a function as a stage: its signature defines inputs and parameters."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Stage:
-    """A declared stage; call it like the function it was made from."""
+    """A declared stage; callable like the function it was declared from."""
 
     name: str
     makes: type[Artifact]
@@ -42,7 +42,7 @@ class Stage:
         self.function(*args, **kwargs)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # A stage crosses processes by name: its module holds it under the function's name.
+        # A stage is pickled by name: its module has it under the function's name.
         return _load_stage, (self.function.__module__, self.function.__name__)
 
 
@@ -56,9 +56,9 @@ def stage(
     """Declare a function as the stage that makes a kind.
 
     Args:
-        version: raise it by hand when the results change; it is part of the skip key.
-        resumable: after a kill, `out` still holds what the last attempt wrote with the same key.
-        together: several processes, started by torchrun, can make one artifact. All are called; the first writes.
+        version: to be raised by hand when the results change; part of the skip key.
+        resumable: after a kill, `out` still holds what the last attempt with the same key wrote.
+        together: several processes started by torchrun can make one artifact. All are called; the first one writes.
     """
 
     def declare(function: Callable[..., None]) -> Stage:
@@ -99,7 +99,7 @@ def in_order(stages: Iterable[Stage]) -> list[Stage]:
     waiting, ordered = list(stages), []
     while waiting:
         unmade = {stage.makes for stage in waiting}
-        ready = [stage for stage in waiting if not unmade & {given.artifact for given in stage.inputs}]
+        ready = [stage for stage in waiting if not unmade & {input_.artifact for input_ in stage.inputs}]
         assert ready, "the stages form a cycle"
         ordered += ready
         waiting = [stage for stage in waiting if stage not in ready]

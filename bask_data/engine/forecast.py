@@ -1,4 +1,4 @@
-"""How long a run still takes: by what its own tasks took, or else by what is recorded of earlier ones."""
+"""Time left of a run, estimated from its own tasks so far, or else from the provenance of earlier ones."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from statistics import mean
 from bask_data.engine.making import Outcome
 
 MOST_RECORDS = 5
-"""Records of earlier work that are read of each stage: what an item takes varies more between stages than between
-items, and a dataset may have thousands."""
+"""Provenance records read per stage: durations vary more between stages than between items, and a dataset may have
+thousands of items."""
 
 
 @dataclass
 class Forecast:
-    """What is left of a run.
+    """Estimate of the time left of a run.
 
     Args:
-        root: of the dataset.
-        foreseen: what a dry run says would be made; the rest costs next to nothing.
-        workers: tasks of one stage that are worked on at the same time.
+        root: the dataset's directory.
+        predicted: outcomes of a dry run; only tasks that would make something take time.
+        workers: number of tasks of a stage that run in parallel.
     """
 
     root: Path
-    foreseen: Sequence[Outcome]
+    predicted: Sequence[Outcome]
     workers: int = 1
     _left: dict[str, set[str]] = field(init=False)
     _seconds: dict[str, list[float]] = field(init=False)
@@ -35,45 +35,45 @@ class Forecast:
 
     def __post_init__(self) -> None:
         self._left, self._seconds, self._recorded = defaultdict(set), defaultdict(list), {}
-        for outcome in self.foreseen:
+        for outcome in self.predicted:
             if outcome.status == "would make":
                 self._left[outcome.kind].add(outcome.path)
 
-    def came(self, outcome: Outcome) -> None:
+    def count(self, outcome: Outcome) -> None:
         """Count one task as done."""
         self._left[outcome.kind].discard(outcome.path)
         if outcome.status == "made":
             self._seconds[outcome.kind].append(outcome.seconds)
 
-    def is_awaited(self, kind: str, item: str = "") -> bool:
-        """Whether a stage still has something to make; of one item, if one is named."""
+    def is_pending(self, kind: str, item: str = "") -> bool:
+        """Whether artifacts of a kind are still to be made; only those of `item`, if given."""
         return any(not item or Path(path).name == item for path in self._left[kind])
 
     def left(self) -> tuple[float, bool]:
-        """Seconds, and whether all that is left is in them: what a stage takes may not be known yet."""
+        """Seconds left, and whether they cover all stages: the duration of some may not be known yet."""
         total, is_all = 0.0, True
         for kind, paths in self._left.items():
             if not paths:
                 continue
-            each = mean(self._seconds[kind]) if self._seconds[kind] else self._of_records(kind)
-            total += len(paths) / min(self.workers, len(paths)) * (each or 0.0)
-            is_all = is_all and each is not None
+            per_task = mean(self._seconds[kind]) if self._seconds[kind] else self._recorded_mean(kind)
+            total += len(paths) / min(self.workers, len(paths)) * (per_task or 0.0)
+            is_all = is_all and per_task is not None
         return total, is_all
 
-    def _of_records(self, kind: str) -> float | None:
-        """Mean of what artifacts of a kind took before; None if nothing is recorded."""
+    def _recorded_mean(self, kind: str) -> float | None:
+        """Mean duration of earlier tasks of a kind, seconds; None if there is no record."""
         if kind not in self._recorded:
-            found: list[float] = []
-            for outcome in self.foreseen:
-                if outcome.kind == kind and len(found) < MOST_RECORDS:
-                    found += self._record(Path(outcome.path))
-            self._recorded[kind] = mean(found) if found else None
+            seconds: list[float] = []
+            for outcome in self.predicted:
+                if outcome.kind == kind and len(seconds) < MOST_RECORDS:
+                    seconds += self._recorded_seconds(Path(outcome.path))
+            self._recorded[kind] = mean(seconds) if seconds else None
         return self._recorded[kind]
 
-    def _record(self, target: Path) -> list[float]:
+    def _recorded_seconds(self, target: Path) -> list[float]:
         relative = target.relative_to(self.root)
         try:
             file = self.root / "provenance" / relative.parent / f"{relative.name}.json"
             return [float(json.loads(file.read_text())["seconds"])]
         except (OSError, ValueError, KeyError, TypeError):
-            return []  # A record is no part of the dataset: without a sound one, nothing is known.
+            return []  # Provenance is not validated: a damaged record counts as none.

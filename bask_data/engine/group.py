@@ -1,4 +1,4 @@
-"""Several processes that make one artifact together, as torchrun starts them."""
+"""Processes started by torchrun that make one artifact together."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from bask_data.engine.tasks import Task
 
 
 def processes() -> int:
-    """How many processes torchrun started to make one artifact together; 1 without it."""
+    """Number of processes that torchrun started; 1 without torchrun."""
     return int(os.environ["WORLD_SIZE"]) if "TORCHELASTIC_RUN_ID" in os.environ else 1
 
 
 def is_follower() -> bool:
-    """Whether another of them is the one that publishes."""
+    """Whether another process of the group publishes the artifact."""
     return processes() > 1 and os.environ["RANK"] != "0"
 
 
 def follow(task: Task, force: bool) -> None:
-    """Take part in what the first of several processes makes; it alone locks, publishes and reports.
+    """Take part in making an artifact as a process other than the first, which alone locks, publishes and reports.
 
-    All of them decide by the same files whether there is anything to make, so they come to the same answer.
+    All processes decide from the same files whether there is anything to make, so they agree.
     """
     if force or state_of(task).status in ("missing", "stale"):
         task.stage.function(**arguments_of(task), out=task.resumable_scratch(digest_of(key_parts(task))))

@@ -1,4 +1,4 @@
-"""Making artifacts: one task, or many of them here or on any executor."""
+"""Making artifacts: one task, or many in this process or on an executor."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bask_data.engine.arguments import arguments_of
 from bask_data.engine.publishing import Origin, published, scratches
 from bask_data.engine.resumable import filled_resumable
 from bask_data.engine.snapshot import Live, Snapshot
-from bask_data.engine.state import Blocked, State, key_parts, state_of, state_told
+from bask_data.engine.state import Blocked, State, key_parts, state_of, state_or_blocked
 from bask_data.engine.tasks import Task, parameter_files
 from bask_data.errors import BaskError
 from bask_data.progress import report
@@ -24,12 +24,12 @@ from bask_data.progress import report
 
 @dataclass(frozen=True)
 class Position:
-    """Where a run of several stages is.
+    """Position in a run of several stages.
 
     Args:
-        stage_number: of `n_stages`, from 1; a stage that makes several variants counts once for each.
-        item: empty for what belongs to the dataset, and where several are worked on at the same time.
-        item_number: of `n_items`, from 1; of an outcome, how many have come.
+        stage_number: from 1 to `n_stages`; a stage that makes several variants counts once for each.
+        item: empty for artifacts of the dataset, and when several items are processed in parallel.
+        item_number: from 1 to `n_items`; for an outcome, the number of outcomes so far.
     """
 
     stage: str
@@ -43,13 +43,13 @@ class Position:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a task.
+    """The outcome of a task.
 
     Args:
-        why: in words, why it was made, or was not.
-        seconds: that the work took.
-        digest: of the artifact's content, where there is one.
-        error: what a failure raised, where it is one of ours.
+        why: in words, why the artifact was made or not.
+        seconds: duration of the work.
+        digest: content digest of the artifact, if there is one.
+        error: the cause of a failure, if it is a `BaskError`.
         blocked: the reason for the status `blocked`.
         position: in a run of several stages.
     """
@@ -69,7 +69,7 @@ class Outcome:
 
 
 def make(task: Task, force: bool = False) -> Outcome:
-    """Make one artifact unless it is up to date. Errors come back in the outcome, so that other items go on."""
+    """Make one artifact unless it is up to date. Errors are returned in the outcome, so that other items continue."""
     begun = time.perf_counter()
     path = str(task.target)
     outcome = Outcome(task.label, task.stage.makes.kind, task.item, task.variant, path, "made")
@@ -87,7 +87,7 @@ def make(task: Task, force: bool = False) -> Outcome:
     except ImportError:
         raise
     except Exception as error:
-        # An input that a stage did not expect, or a full disk: other items go on, and it is said which one it was.
+        # An unexpected input, or a full disk: other items continue, and the message names this one.
         if os.environ.get("BASK_DEBUG"):
             raise
         why = f"{path}: {type(error).__name__}: {error}  fix: `bask-data validate`, or BASK_DEBUG=1 for the traceback."
@@ -100,7 +100,7 @@ def _with_notes(error: BaskError) -> str:
 
 
 def _make(task: Task, begun: float, force: bool) -> Manifest:
-    parameter_files(task)  # A key can be told of a file that is not here, but nothing can be made of it.
+    parameter_files(task)  # The recorded digest of an absent file is enough for a key, but not for making anything.
     parts = key_parts(task)
     makes, key = task.stage.makes, digest_of(parts)
     origin = Origin(task.stage.name, task.stage.version, parts["params"], parts["inputs"], key)
@@ -117,21 +117,21 @@ def _make(task: Task, begun: float, force: bool) -> Manifest:
         return fill(written[makes])
 
 
-def foretold(
+def predicted(
     tasks: Sequence[Task], coming: set[Path], force: bool = False, *, seen: Live | None = None
 ) -> Iterator[Outcome]:
-    """What `run` would do, and why.
+    """The outcomes of a dry run: what `run` would make, and why.
 
     Args:
-        coming: paths of what earlier stages would make; what these tasks would is added.
-        seen: what is there; a snapshot of its own by default.
+        coming: paths of what earlier stages would make; those of these tasks are added.
+        seen: the artifacts on disk; by default a new snapshot.
     """
     seen = seen or Snapshot()
     for task in tasks:
-        state = state_told(task, seen)
-        lacking = state.blocked.paths if state.blocked else ()
-        if lacking and coming.issuperset(lacking):
-            state = State("missing", f"after {', '.join(path.relative_to(task.root).as_posix() for path in lacking)}")
+        state = state_or_blocked(task, seen)
+        missing = state.blocked.paths if state.blocked else ()
+        if missing and coming.issuperset(missing):
+            state = State("missing", f"after {', '.join(path.relative_to(task.root).as_posix() for path in missing)}")
         would = state.status in ("missing", "stale") or (force and state.status == "up to date")
         if would:
             coming.add(task.target)
@@ -148,7 +148,7 @@ def foretold(
 
 
 def run(tasks: Sequence[Task], *, executor: Executor | None = None, force: bool = False) -> Iterator[Outcome]:
-    """Make what is not up to date, here or on any executor, and yield outcomes as they come."""
+    """Make what is not up to date, in this process or on an executor, and yield outcomes as they arrive."""
     if executor is None:
         for task in tasks:
             yield make(task, force)

@@ -1,4 +1,4 @@
-"""The whole pipeline: what is up to date, and making what is not."""
+"""The whole pipeline: the state of its artifacts, and making those that are not up to date."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from pathlib import Path
 
 from bask_data.dataset import Dataset, Variant
 from bask_data.engine.declare import Stage
-from bask_data.engine.making import Outcome, Position, foretold, run
+from bask_data.engine.making import Outcome, Position, predicted, run
 from bask_data.engine.requested import Requested, RunRequest, read_requested, record_requested, variant_names
 from bask_data.engine.sections import laid_over
 from bask_data.engine.snapshot import Snapshot
-from bask_data.engine.state import State, state_told
+from bask_data.engine.state import State, state_or_blocked
 from bask_data.engine.tasks import Task, named_files, plan
 from bask_data.errors import UsageError
 
 Begin = Callable[[Position], None]
-"""Called when something begins: a stage, or an item of it where items are made one after the other."""
+"""Called at the beginning of a stage, or of each item if items are made one after the other."""
 
 
 @dataclass(frozen=True)
 class PlannedStage:
-    """Tasks of one stage in one variant."""
+    """The tasks of one stage for one variant."""
 
     stage: Stage
     variant: str
@@ -32,10 +32,10 @@ class PlannedStage:
 
 @dataclass(frozen=True)
 class Standing:
-    """How one artifact of the pipeline stands.
+    """An artifact of the pipeline and its state.
 
     Args:
-        path: where it lies or will lie.
+        path: where the artifact is or will be.
     """
 
     stage: str
@@ -48,21 +48,23 @@ class Standing:
 
 
 def planned(dataset: Dataset, stages: Sequence[Stage], request: RunRequest) -> list[PlannedStage]:
-    """All that a request is for, in the order in which each finds its inputs made. Nothing is made.
+    """The tasks of a request, ordered so that inputs come first. Nothing is made.
 
     Args:
-        stages: all there are, in order.
+        stages: all stages of the pipeline, in order.
 
     Raises:
-        UsageError: a stage, an item, a variant, a section or a parameter is not what it may be.
-        BadData: what is recorded of the dataset is not.
+        UsageError: a stage, item, variant, section or parameter is unknown or invalid.
+        BadData: the parameters recorded with the dataset are invalid.
     """
     names = [stage.name for stage in stages]
     unknown = [name for name in request.stages if name not in names]
     if unknown:
         raise UsageError("run", "stages", expected=f"some of {', '.join(names)}", got=", ".join(unknown))
     if request.options and len(request.stages) != 1:
-        raise UsageError("run", "options", expected="one stage whose they are", got=", ".join(request.stages) or "all")
+        raise UsageError(
+            "run", "options", expected="exactly one stage with options", got=", ".join(request.stages) or "all"
+        )
     if request.only:
         dataset.select(request.only)
     recorded = read_requested(dataset.root, stages)
@@ -98,38 +100,38 @@ def run_pipeline(
     dry_run: bool = False,
     begin: Begin | None = None,
 ) -> Iterator[Outcome]:
-    """Make what is missing or stale, in order, and yield what became of each task as it comes.
+    """Make what is missing or stale, in order, and yield the outcome of each task as it arrives.
 
-    All is planned before anything is made, when this is called: a bad parameter of a late stage must not cost the time
-    of the first. What was requested is recorded with the dataset once the first task of a stage came out well.
+    The call plans everything before anything is made: an invalid parameter of a late stage must not cost the time of
+    the first. The requested parameters of a stage are recorded with the dataset after its first successful task.
 
     Args:
-        stages: all there are, in order; the request chooses.
-        executor: where items of a stage are worked on at the same time; here, one after the other, by default.
-        force: make again what is up to date.
-        dry_run: make and record nothing, and say what would be made.
-        begin: called with where it is when something begins.
+        stages: all stages of the pipeline, in order; the request selects from them.
+        executor: processes items of a stage in parallel; by default they are made one after the other, in this process.
+        force: also make what is up to date.
+        dry_run: make and record nothing, and yield what would be made.
+        begin: called with the position at each beginning.
 
     Raises:
-        UsageError: as `planned`; or there is nothing that the stages could make anything of.
-        BadData: what is recorded of the dataset is not what it may be.
+        UsageError: as for `planned`; or the dataset has no recordings that the stages could work on.
+        BadData: the parameters recorded with the dataset are invalid.
     """
     request = request or RunRequest()
     batches = planned(dataset, stages, request)
     _refuse_nothing(dataset, batches, request)
     if dry_run:
-        return _foretold(batches, force)
+        return _predicted(batches, force)
     return _made(dataset, batches, request, executor, force, begin or (lambda position: None))
 
 
 def status(dataset: Dataset, stages: Sequence[Stage], request: RunRequest | None = None) -> Iterator[Standing]:
-    """How every artifact stands that the request is for, in order. All are judged by one look at the disk.
+    """The state of every artifact of a request, in order, from one snapshot of the disk.
 
     Args:
-        stages: all there are, in order; the request chooses.
+        stages: all stages of the pipeline, in order; the request selects from them.
 
     Raises:
-        UsageError, BadData: as `planned`, when this is called.
+        UsageError, BadData: as for `planned`, at the call.
     """
     batches = planned(dataset, stages, request or RunRequest())
 
@@ -137,14 +139,14 @@ def status(dataset: Dataset, stages: Sequence[Stage], request: RunRequest | None
         seen = Snapshot()
         for batch in batches:
             for task in batch.tasks:
-                kind, state = task.stage.makes.kind, state_told(task, seen)
+                kind, state = task.stage.makes.kind, state_or_blocked(task, seen)
                 yield Standing(batch.stage.name, task.label, kind, task.item, task.variant, task.target, state)
 
     return standings()
 
 
 def _refuse_nothing(dataset: Dataset, batches: Sequence[PlannedStage], request: RunRequest) -> None:
-    """A run that can make nothing of what the dataset holds is most likely one of an empty dataset."""
+    """`UsageError` for a run without any item to process: the dataset is most likely empty."""
     if not request.stages:
         dataset.select([])
     for batch in batches if request.stages else ():
@@ -153,13 +155,13 @@ def _refuse_nothing(dataset: Dataset, batches: Sequence[PlannedStage], request: 
 
 
 def _items(dataset: Dataset, stage: Stage, request: RunRequest) -> list[str] | None:
-    """Those of the chosen items that a stage has; None where it has none of them and was not asked for by name."""
+    """The requested items in the stage's scope; None if there are none and the stage was not requested by name."""
     if not request.only or stage.makes.scope == "dataset":
         return []
     if request.stages:
         return list(request.only)
-    there = set(dataset.items(stage.makes.scope))
-    return [name for name in request.only if name in there] or None
+    in_scope = set(dataset.items(stage.makes.scope))
+    return [name for name in request.only if name in in_scope] or None
 
 
 def _variants(dataset: Dataset, stage: Stage, request: RunRequest) -> list[str]:
@@ -168,10 +170,10 @@ def _variants(dataset: Dataset, stage: Stage, request: RunRequest) -> list[str]:
     return [request.variant]
 
 
-def _foretold(batches: Sequence[PlannedStage], force: bool) -> Iterator[Outcome]:
+def _predicted(batches: Sequence[PlannedStage], force: bool) -> Iterator[Outcome]:
     seen, coming = Snapshot(), set[Path]()
     for i_batch, batch in enumerate(batches):
-        for i_task, outcome in enumerate(foretold(batch.tasks, coming, force, seen=seen)):
+        for i_task, outcome in enumerate(predicted(batch.tasks, coming, force, seen=seen)):
             yield replace(outcome, position=_position(batches, i_batch, outcome.item, i_task))
 
 
@@ -199,7 +201,7 @@ def _made(
 
 
 def _variant(dataset: Dataset, batch: PlannedStage, request: RunRequest) -> Variant:
-    """A variant as `dataset.json` will list it: with the inputs it was asked for, or those it had."""
+    """A variant for `dataset.json`: with the requested inputs, or those already listed."""
     if request.variant is None:
         return dataset.variants(batch.stage.makes)[batch.variant]
     return Variant(inputs=request.variant_inputs)
@@ -208,7 +210,7 @@ def _variant(dataset: Dataset, batch: PlannedStage, request: RunRequest) -> Vari
 def _outcomes(
     batches: Sequence[PlannedStage], i_batch: int, executor: Executor | None, force: bool, begin: Begin
 ) -> Iterator[Outcome]:
-    """Of one batch; what begins is told before it is waited for."""
+    """Outcomes of one batch; `begin` is called before the work starts."""
     tasks = batches[i_batch].tasks
     if executor is not None:
         begin(_position(batches, i_batch, "", 0))

@@ -1,4 +1,4 @@
-"""Who made an artifact, when, where and at what cost."""
+"""Provenance: who made an artifact, when, where, and how long it took."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bask_data.artifact import write_json_atomically
 
 
 def record(root: Path, target: Path, seconds: float, key: str) -> None:
-    """Write who made an artifact, when, where and in how many seconds; outside it, so that no digest depends on it."""
+    """Write the provenance of an artifact, outside it, so that no digest depends on it."""
     relative = target.relative_to(root)
     write_json_atomically(
         root / "provenance" / relative.parent / f"{relative.name}.json",
@@ -47,7 +47,7 @@ def _user() -> str:
 
 def _peak_bytes() -> int:
     try:
-        # Not `ru_maxrss`, which a process begins with its parent's peak.
+        # Not `ru_maxrss`, which starts at the peak of the parent process.
         line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
         return int(line.split()[1]) * 1024
     except (OSError, StopIteration):

@@ -1,4 +1,4 @@
-"""How an artifact comes into a dataset, whoever fills it: written aside, sealed, put into place whole, recorded."""
+"""Publishing an artifact, for stages and sources alike: fill a scratch directory, seal it, move it, record it."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from bask_data.engine.provenance import record
 
 @dataclass(frozen=True)
 class Origin:
-    """What made an artifact, and of what, as its manifest states it.
+    """What made an artifact, and from which inputs, as the manifest states it.
 
     Args:
-        inputs: content digest by path relative to the dataset, or by a name for what is no artifact.
+        inputs: content digest by path relative to the dataset, or by name if it is not an artifact.
         key: SHA-256 over everything the result depends on.
     """
 
@@ -32,7 +32,7 @@ class Origin:
 
 @contextmanager
 def scratches(root: Path, artifacts: Sequence[type[Artifact]]) -> Iterator[dict[type[Artifact], Path]]:
-    """An empty folder to fill for each artifact, gone at the end."""
+    """An empty scratch directory for each artifact, removed at the end."""
     made: dict[type[Artifact], Path] = {}
     try:
         for artifact in artifacts:
@@ -46,11 +46,11 @@ def scratches(root: Path, artifacts: Sequence[type[Artifact]]) -> Iterator[dict[
 def published(
     root: Path, target: Path, scratch: Path, *, artifact: type[Artifact], origin: Origin, begun: float
 ) -> Manifest:
-    """Seal a filled scratch directory, put it into its place, and record who made it.
+    """Seal a filled scratch directory, move it into place, and record its provenance.
 
     Args:
-        target: where the artifact will lie; what stands there is replaced.
-        begun: `time.perf_counter()` when the work began.
+        target: where the artifact will be; an existing one is replaced.
+        begun: `time.perf_counter()` at the beginning of the work.
     """
     manifest = seal(
         scratch,

@@ -1,7 +1,7 @@
-"""Parameters that a dataset's artifacts were requested with: they travel with it, in `requested.json`.
+"""Parameters that a dataset's artifacts were requested with, stored in its `requested.json`.
 
-What somebody asks for with `--config`, `--set` or an option is no part of the code, so without this file everyone else
-who opens the dataset would compare its artifacts with other parameters, and find them stale. docs/decisions/0006.
+Parameters given by `--config`, `--set` or an option are not part of the code. Without this file, everyone else who
+opens the dataset would compare its artifacts with the defaults, and find them stale. docs/decisions/0006.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ class Requested(BaseModel):
     """The content of `requested.json`.
 
     Args:
-        parameters: by section, as in `params.yaml`; of one item in one variant also `stage@variant@item`.
-        files: SHA-256 by path, of every file that a parameter names: another machine, which does not have the file, can
-            tell by it what is up to date.
+        parameters: by section, as in `params.yaml`; also `stage@variant@item` for one item in one variant.
+        files: SHA-256 by path of every file that a parameter names, so that a machine without the file can determine
+            what is up to date.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -49,20 +49,19 @@ class Requested(BaseModel):
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What a run is asked to make, and with which parameters.
+    """A request to make artifacts, with its parameters.
 
-    Of the parameters, `options` go over `given`, these over `standing`, these over what the dataset has recorded, and
-    that over the defaults.
+    Precedence: `options`, `given`, `standing`, the parameters recorded with the dataset, the defaults.
 
     Args:
         stages: names of stages; empty for all.
         only: names of scenes or demonstrations; empty for all.
-        variant: of the results; None for all that the dataset lists.
-        variant_inputs: variant of each input kind that has them.
-        options: of one stage.
-        given: by section, of `--config FILE`, `--preset` and `--set`; recorded, as options are.
-        standing: by section, of the dataset's own params.yaml. It travels by itself, so it is not recorded.
-        replaces: what is recorded of the stages is neither used nor kept: with `--config FILE` or `--defaults`.
+        variant: to make; None for all that the dataset lists.
+        variant_inputs: variant of each input kind that has variants.
+        options: parameters of the only stage.
+        given: parameters by section, from `--config FILE`, `--preset` and `--set`; recorded, like options.
+        standing: parameters by section, from the dataset's own params.yaml; part of the dataset, so not recorded.
+        replaces: ignore and replace the recorded parameters of the stages: `--config FILE` or `--defaults`.
     """
 
     stages: tuple[str, ...] = ()
@@ -76,20 +75,20 @@ class RunRequest:
 
 
 def read_requested(root: Path, stages: Iterable[Stage] = ()) -> Requested:
-    """What was requested of the dataset at `root`; nothing where there is no such file.
+    """The requested parameters of the dataset at `root`; empty if there is no such file.
 
     Args:
-        stages: all there are, to refuse sections of others; empty: sections of any name pass.
+        stages: all stages, to refuse sections of others; if empty, sections of any name pass.
 
     Raises:
-        BadData: the file is too large, no JSON, or says what it may not.
+        BadData: the file is too large, not JSON, or has invalid content.
     """
     file = root / REQUESTED
     if not file.exists():
         return Requested()
     document = read_json(file)
     try:
-        canonical_json(document)  # NaN and infinity are no JSON, but Python reads them.
+        canonical_json(document)  # Refuses NaN and infinity, which are not JSON but which Python reads.
         requested = Requested.model_validate(document)
     except ValidationError as error:
         name, expected, came = first_fault(error)
@@ -107,14 +106,14 @@ def read_requested(root: Path, stages: Iterable[Stage] = ()) -> Requested:
 def record_requested(
     dataset: Dataset, stage: Stage, request: RunRequest, *, items: Sequence[str] = (), files: Iterable[Path] = ()
 ) -> None:
-    """Record what a stage was requested with, beside what is recorded of others and of other items and variants.
+    """Record the requested parameters of a stage; those of other stages, items and variants are kept.
 
     Args:
-        items: that the request is for; empty for all there are or will be.
-        files: that parameters name.
+        items: items of the request; empty for all, including later ones.
+        files: files that parameters name.
     """
-    found = {str(file): file_digest(file) for file in set(files) if file.is_file()}
-    if not (found or request.replaces or request.options or of_stage(request.given, stage.name)):
+    digests = {str(file): file_digest(file) for file in set(files) if file.is_file()}
+    if not (digests or request.replaces or request.options or of_stage(request.given, stage.name)):
         return
     try:
         (dataset.root / SCRATCH).mkdir(exist_ok=True)
@@ -124,27 +123,27 @@ def record_requested(
             others = {section: values for section, values in current.parameters.items() if section not in own}
             own = _recorded(own, dataset, stage, request, items or None)
             parameters = dict(sorted({**others, **own}.items()))
-            changed = Requested(parameters=parameters, files={**current.files, **found})
+            changed = Requested(parameters=parameters, files={**current.files, **digests})
             if changed != current:
                 write_json_atomically(dataset.root / REQUESTED, changed.model_dump(mode="json"))
     except OSError as error:
-        # What was made is good, and whoever may not write here knows what was asked for.
+        # The artifact is valid all the same, and a user without write access knows the parameters.
         tell(f"{stage.name}: {REQUESTED} cannot be written, so the dataset does not keep these parameters: {error}")
 
 
 def _recorded(own: Config, dataset: Dataset, stage: Stage, request: RunRequest, items: Sequence[str] | None) -> Config:
-    """The sections of a stage after a request."""
+    """The recorded sections of a stage after a request."""
     makes, variant = stage.makes, request.variant
     names = variant_names(dataset, stage, variant)
     scope = None if variant is None or not makes.has_variants else [variant]
 
-    def asked(values: Config) -> Config:
+    def in_scope(values: Config) -> Config:
         return within(values, stage.name, scope, items, names)
 
     if request.replaces and scope is None and items is None:
         own = {}
     elif request.replaces:
-        # What is recorded of more than these stays, so the defaults are written over it.
+        # Records for other variants and items are kept, so the defaults are recorded for these.
         fields = stage.params.model_fields
         defaults = {
             name: fields[name].get_default(call_default_factory=True)
@@ -152,14 +151,14 @@ def _recorded(own: Config, dataset: Dataset, stage: Stage, request: RunRequest, 
             for name in values
             if name in fields and not fields[name].is_required()
         }
-        own = laid_over(own, asked({stage.name: defaults}), stage.name, names)
-    own = laid_over(own, asked(request.given), stage.name, names)
-    own = laid_over(own, asked({stage.name: request.options}), stage.name, names)
+        own = laid_over(own, in_scope({stage.name: defaults}), stage.name, names)
+    own = laid_over(own, in_scope(request.given), stage.name, names)
+    own = laid_over(own, in_scope({stage.name: request.options}), stage.name, names)
     return to_jsonable_python(own, fallback=str)
 
 
 def variant_names(dataset: Dataset, stage: Stage, variant: str | None = None) -> list[str]:
-    """Names that stand for variants in sections of a stage: the listed ones, and one that may be new."""
+    """Names that denote variants in sections of a stage: the listed ones, and `variant`, which may be new."""
     if not stage.makes.has_variants:
         return []
     return list(dict.fromkeys([*dataset.variants(stage.makes), *([variant] if variant else [])]))

@@ -1,4 +1,4 @@
-"""Scratch directories that outlive a kill, for stages that go on where they were."""
+"""Scratch directories that survive a kill, for stages that resume."""
 
 from __future__ import annotations
 
@@ -18,7 +18,11 @@ from bask_data.progress import tell
 
 
 def filled_resumable(task: Task, key: str, fill: Callable[[Path], Manifest], force: bool) -> Manifest:
-    """Run with a scratch directory named by the key, for one process at a time, or one group of them."""
+    """Make an artifact in a scratch directory named by the key, for one process or one torchrun group at a time.
+
+    Raises:
+        UsageError: another process is making the artifact, and this group cannot wait for it.
+    """
     scratch = task.resumable_scratch(key)
     folder, prefix = scratch.parent, scratch.name.removesuffix(key[:32])
     folder.mkdir(exist_ok=True)
@@ -33,21 +37,21 @@ def filled_resumable(task: Task, key: str, fill: Callable[[Path], Manifest], for
                 manifest = fill(scratch)
             except BaseException:
                 with suppress(OSError):
-                    scratch.rmdir()  # Where nothing was left in it, there is nothing to go on from.
+                    scratch.rmdir()  # Nothing to resume from if it is empty.
                 raise
-            for left in folder.glob(f"{prefix}*"):
-                if left.is_dir():
-                    shutil.rmtree(left, ignore_errors=True)
+            for leftover in folder.glob(f"{prefix}*"):
+                if leftover.is_dir():
+                    shutil.rmtree(leftover, ignore_errors=True)
     except Timeout:
-        fix = "wait until that has ended."
-        raise UsageError(task.label, "", expected="nobody else to make it", got="another process", fix=fix) from None
+        expected, fix = "no other process making it", "wait until it has finished."
+        raise UsageError(task.label, "", expected=expected, got="one that is running", fix=fix) from None
     return manifest
 
 
 def _acquired(lock: FileLock, task: Task) -> AbstractContextManager[object]:
-    """The lock, whenever it is free; that it is waited for is told. A group does not: its others wait for its first."""
+    """The lock, after waiting for it with a notice."""
     try:
         return lock.acquire()
     except Timeout:
-        tell(f"{task.label}: another process is making it; this one waits until that has ended")
+        tell(f"{task.label}: waiting for another process that is making it")
         return lock.acquire(timeout=-1)

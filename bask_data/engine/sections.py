@@ -1,4 +1,4 @@
-"""Parameters by section: `stage`, `stage@variant`, `stage@item`, `stage@variant@item`; the narrow one counts."""
+"""Parameters by section: `stage`, `stage@variant`, `stage@item`, `stage@variant@item`; the narrowest counts."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ Config = dict[str, dict[str, Any]]
 
 
 def sections_for(stage: str, item: str, variant: str) -> list[str]:
-    """The sections that say something of one artifact, the widest first."""
+    """The sections that apply to one artifact, the widest first."""
     return [stage, f"{stage}@{variant}", f"{stage}@{item}", f"{stage}@{variant}@{item}"]
 
 
 def of_stage(config: Mapping[str, Mapping[str, Any]], stage: str) -> Config:
-    """The sections of one stage, copied."""
+    """A copy of the sections of one stage."""
     return {name: dict(values) for name, values in config.items() if name.partition("@")[0] == stage}
 
 
@@ -25,12 +25,12 @@ def laid_over(
     stage: str,
     variants: Collection[str],
 ) -> Config:
-    """The sections of a stage, such that `above` counts wherever it says something, however wide its section is.
+    """The sections of a stage with `above` over `below`: `above` takes precedence however wide its section is.
 
-    Merging section by section would not do: what `below` says of one item would go over what `above` says of all.
+    Merging section by section would be wrong: a value of `below` for one item would override that of `above` for all.
 
     Args:
-        variants: names that stand for variants in `stage@name`; every other one is an item.
+        variants: names that denote variants in `stage@name`; every other name is an item.
     """
     laid = of_stage(below, stage)
     for section in sorted(of_stage(above, stage), key=lambda name: _width(name, variants)):
@@ -46,14 +46,14 @@ def within(
     scope_items: Sequence[str] | None,
     variants: Collection[str],
 ) -> Config:
-    """What sections of a stage say of some of its artifacts, in sections that hold these artifacts alone.
+    """The parameters of some artifacts of a stage, in sections that apply to these artifacts only.
 
     Args:
-        scope_variants: of these artifacts; None for all there are or will be.
-        scope_items: of these artifacts; None for all.
+        scope_variants: variants of these artifacts; None for all, including later ones.
+        scope_items: items of these artifacts; None for all.
         variants: as for `laid_over`.
     """
-    found: Config = {}
+    narrowed: Config = {}
     for section in sorted(of_stage(config, stage), key=lambda name: _width(name, variants)):
         variant, item = _names(section, variants)
         if variant and scope_variants is not None and variant not in scope_variants:
@@ -62,9 +62,9 @@ def within(
             continue
         for narrow in _sections(stage, [variant] if variant else scope_variants, [item] if item else scope_items):
             for field, value in config[section].items():
-                # In order of width: what is said of an item in all variants goes over what is said of one variant.
-                _assign(found, narrow, field, value, variants)
-    return {section: values for section, values in found.items() if values}
+                # In order of width: a value for an item in all variants overrides one for a variant.
+                _assign(narrowed, narrow, field, value, variants)
+    return {section: values for section, values in narrowed.items() if values}
 
 
 def _sections(stage: str, variants: Sequence[str] | None, items: Sequence[str] | None) -> list[str]:
@@ -75,7 +75,7 @@ def _sections(stage: str, variants: Sequence[str] | None, items: Sequence[str] |
 
 
 def _names(section: str, variants: Collection[str]) -> tuple[str, str]:
-    """Variant and item that a section is for; empty where it is for all."""
+    """Variant and item of a section; empty if it applies to all."""
     _, *names = section.split("@")
     if len(names) == 1:
         return (names[0], "") if names[0] in variants else ("", names[0])
@@ -83,13 +83,13 @@ def _names(section: str, variants: Collection[str]) -> tuple[str, str]:
 
 
 def _width(section: str, variants: Collection[str]) -> int:
-    """0 for the widest."""
+    """Rank of a section, from 0 for the widest to 3 for the narrowest."""
     variant, item = _names(section, variants)
     return bool(variant) + 2 * bool(item)
 
 
 def _assign(laid: Config, section: str, field: str, value: Any, variants: Collection[str]) -> None:
-    """Set a field for all that a section is for, and for nothing else."""
+    """Set a field for all artifacts of a section, and for no others."""
     variant, item = _names(section, variants)
     width = _width(section, variants)
     narrower = [
@@ -105,6 +105,6 @@ def _assign(laid: Config, section: str, field: str, value: Any, variants: Collec
         if other not in of_all_variants:
             del laid[other][field]
     for other in of_all_variants:
-        # What is said of an item in all variants goes over what is said of this one, but for what is said of both.
+        # A value for an item in all variants overrides one for this variant, unless it is for both.
         laid.setdefault(f"{section}@{_names(other, variants)[1]}", {})[field] = value
     laid.setdefault(section, {})[field] = value

@@ -1,4 +1,4 @@
-"""What lies in a dataset: read anew at every question, or once for a command that only looks."""
+"""The artifacts on disk: read at every query, or once for a command that makes nothing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bask_data.errors import BadData
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """What a manifest says of how an artifact was made; thousands of them are kept, so the list of files is not."""
+    """How an artifact was made: a manifest without its list of files, as thousands are kept in memory."""
 
     key: str
     digest: str
@@ -24,21 +24,21 @@ class Made:
 
 
 class Live:
-    """Artifacts as they are at each question. What makes artifacts asks this: others may be making some, too."""
+    """Artifacts at the time of each query. For code that makes artifacts, as other processes may do so too."""
 
     def exists(self, path: Path) -> bool:
-        """Whether there is anything at an artifact's place."""
+        """Whether anything exists at an artifact's path."""
         return path.exists()
 
     def has_manifest(self, path: Path) -> bool:
-        """Whether there is an artifact; its manifest may be broken."""
+        """Whether there is an artifact; its manifest may be damaged."""
         return (path / MANIFEST).exists()
 
     def made(self, path: Path) -> Made:
         """How the artifact at `path` was made.
 
         Raises:
-            BadData: its manifest is missing or broken.
+            BadData: its manifest is missing or damaged.
         """
         return _made(read_manifest(path))
 
@@ -48,10 +48,10 @@ class Live:
 
 
 class Snapshot(Live):
-    """Artifacts as they were when first asked for: folders are listed once, manifests are read once.
+    """Artifacts at the time of the first query: each folder is listed once and each manifest read once.
 
-    For commands that make nothing (`status`, a dry run). Nothing tells a snapshot that an artifact was made meanwhile,
-    so it lives no longer than one command, and nothing that makes artifacts may ask it.
+    For commands that make nothing (`status`, a dry run). A snapshot does not notice artifacts made later, so it must
+    not outlive a command, and code that makes artifacts must not use it.
     """
 
     def __init__(self) -> None:
@@ -60,7 +60,7 @@ class Snapshot(Live):
         self._digests: dict[Path, str] = {}
 
     def exists(self, path: Path) -> bool:
-        """Whether there was anything at an artifact's place."""
+        """Whether anything existed at an artifact's path."""
         folder = path.parent
         if folder not in self._names:
             try:
@@ -75,10 +75,10 @@ class Snapshot(Live):
         return self._read(path) != "missing"
 
     def made(self, path: Path) -> Made:
-        """How the artifact at `path` was made; `BadData` as `Live` raises it."""
-        found = self._read(path)
-        # What is missing or broken is read once more, which raises the error that says so.
-        return found if isinstance(found, Made) else super().made(path)
+        """How the artifact at `path` was made; `BadData` as from `Live`."""
+        made = self._read(path)
+        # A missing or damaged manifest is read again, to raise the error.
+        return made if isinstance(made, Made) else super().made(path)
 
     def file_digest(self, file: Path) -> str:
         """SHA-256 of a file that a parameter names."""

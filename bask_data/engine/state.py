@@ -1,4 +1,4 @@
-"""Whether an artifact is up to date: its skip key, and in words what differs."""
+"""Whether an artifact is up to date: its skip key, and what differs."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from bask_data.kinds import Recording
 
 @dataclass(frozen=True)
 class Blocked:
-    """Why a task cannot run, and what to do about it.
+    """Why a task cannot run, and the fix.
 
     Args:
-        kind: an input is not there; the dataset has no item to read; an input or its manifest is broken; or a file
-            that a parameter names is not there.
-        words: for a person.
+        kind: an input is missing; the dataset has no item to read; an input or its manifest is damaged; or a file that
+            a parameter names is missing.
+        words: the reason as a sentence.
         fix: a command or an action.
-        paths: of the inputs that are not there.
+        paths: paths of the missing inputs.
     """
 
     kind: Literal["input missing", "no items", "input broken", "file missing"]
@@ -36,8 +36,8 @@ class State:
     """Whether a task has to run.
 
     Args:
-        why: in words; for `missing` empty, or in a dry run what it comes after.
-        blocked: the reason for the status `blocked`, None for every other.
+        why: the reason in words; for `missing` empty, or in a dry run the inputs that are made before.
+        blocked: the reason for the status `blocked`, otherwise None.
     """
 
     status: Literal["up to date", "missing", "stale", "blocked"]
@@ -49,7 +49,7 @@ def key_parts(task: Task, seen: Live = LIVE) -> dict[str, Any]:
     """Everything the result depends on; its digest is the skip key.
 
     Raises:
-        BadData: an input has no manifest, or a broken one.
+        BadData: an input's manifest is missing or damaged.
         UsageError: a file that a parameter names does not exist.
     """
     parts = {
@@ -67,7 +67,7 @@ def key_parts(task: Task, seen: Live = LIVE) -> dict[str, Any]:
 
 
 def _digest_of(task: Task, name: str, file: Path, seen: Live) -> str:
-    """What a file holds that a parameter names; as it is recorded where it is not there."""
+    """SHA-256 of a file that a parameter names; the recorded one if the file is missing."""
     if not file.is_file() and str(file) in task.recorded_files:
         return task.recorded_files[str(file)]
     return seen.file_digest(parameter_files(task)[name])
@@ -77,7 +77,7 @@ def state_of(task: Task, seen: Live = LIVE) -> State:
     """Whether a task has to run, and why.
 
     Raises:
-        BaskError: an input's manifest is broken, or a file that a parameter names does not exist.
+        BaskError: an input's manifest is damaged, or a file that a parameter names does not exist.
     """
     blocked = _lack(task, seen)
     if blocked:
@@ -94,34 +94,34 @@ def state_of(task: Task, seen: Live = LIVE) -> State:
     return State("stale", _difference(made, parts))
 
 
-def state_told(task: Task, seen: Live = LIVE) -> State:
-    """`state_of` for a list that one broken input, or a file that is not there, should not end: it is blocked."""
+def state_or_blocked(task: Task, seen: Live = LIVE) -> State:
+    """`state_of`, with an error about an input or a named file as the state `blocked`, for lists of many tasks."""
     try:
         state = state_of(task, seen)
         if state.status == "missing":
-            key_parts(task, seen)  # Reads what it would be made of.
+            key_parts(task, seen)  # Reads the inputs.
         return state
     except BadData as error:
         return State("blocked", str(error), Blocked("input broken", error.fault, error.fix or "make it again."))
     except BaskError as error:
-        words = f"cannot tell whether it is up to date: {error}" if seen.exists(task.target) else str(error)
+        words = f"unknown whether it is up to date: {error}" if seen.exists(task.target) else str(error)
         return State("blocked", words, Blocked("file missing", error.fault, error.fix))
 
 
 def _lack(task: Task, seen: Live) -> Blocked | None:
-    """What a task would read and is not there."""
-    lacking = [binding for binding in task.bindings if not seen.has_manifest(task.root / binding.place)]
-    if lacking:
-        first = lacking[0]
+    """The missing input of a task, if there is one."""
+    missing = [binding for binding in task.bindings if not seen.has_manifest(task.root / binding.place)]
+    if missing:
+        first = missing[0]
         fix = "make it first, or `bask-data run`."
         if issubclass(first.artifact, Recording):
             fix = "ingest it again, or `dvc pull`."
         words = f"{first.place} is missing{_instead(task, first)}"
-        return Blocked("input missing", words, fix, tuple(task.root / binding.place for binding in lacking))
-    for given in task.stage.inputs:
-        if task.params.reads(given.artifact.kind) is None and not task.inputs[given.name]:
-            is_scene = given.artifact.scope == "scene"
-            what = "scenes" if is_scene else given.artifact.kind
+        return Blocked("input missing", words, fix, tuple(task.root / binding.place for binding in missing))
+    for input_ in task.stage.inputs:
+        if task.params.reads(input_.artifact.kind) is None and not task.inputs[input_.name]:
+            is_scene = input_.artifact.scope == "scene"
+            what = "scenes" if is_scene else input_.artifact.kind
             fix = (
                 "bask-data ingest FORMAT SOURCE ROOT --scene NAME --as scan" if is_scene else "bask-data ingest --help"
             )
@@ -130,7 +130,7 @@ def _lack(task: Task, seen: Live) -> Blocked | None:
 
 
 def _instead(task: Task, binding: Binding) -> str:
-    """Which other variants of a missing input there are, and how to ask for one."""
+    """The existing variants of a missing input, as the option that selects them."""
     if binding.artifact.scope != "dataset" or not binding.artifact.has_variants:
         return ""
     folder = (task.root / binding.place).parent
@@ -139,13 +139,13 @@ def _instead(task: Task, binding: Binding) -> str:
 
 
 def _unseen_files(task: Task) -> str:
-    """Files that this machine lacks and the result depends on, in words."""
+    """A note on files that the result depends on and that are missing here."""
     files = [file for file in named_files(task.stage, task.params).values() if not file.is_file()]
-    return f"{', '.join(map(str, files))} is not there; compared with what is recorded of it" if files else ""
+    return f"{', '.join(map(str, files))} is missing; compared with its recorded SHA-256" if files else ""
 
 
 def _difference(made: Made, parts: dict[str, Any]) -> str:
-    """What changed since the artifact was made, in words."""
+    """What has changed since the artifact was made, in words."""
     if made.stage_version != parts["version"] or made.schema_version != parts["schema"]:
         return f"made by version {made.stage_version} of the stage, this is {parts['version']}"
     names = {*made.params, *parts["params"]}
@@ -158,5 +158,5 @@ def _difference(made: Made, parts: dict[str, Any]) -> str:
     moved = sorted(path for path in paths if made.inputs.get(path) != parts["inputs"].get(path))
     if moved:
         return "changed: " + ", ".join(moved)
-    # What is left is in the key alone: the splits, or the content of a file that a parameter names.
+    # Only the key covers the rest: the splits, and the content of files that parameters name.
     return "changed: " + " or ".join(name for name in ("splits", "files") if name in parts)

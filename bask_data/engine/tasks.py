@@ -1,4 +1,4 @@
-"""Tasks: what a stage has to make in a dataset, with which inputs and which parameters."""
+"""Tasks: the artifacts that a stage has to make in a dataset, with inputs and parameters."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Binding:
 
     @property
     def place(self) -> str:
-        """Where it lies below the dataset's directory, with forward slashes."""
+        """Path relative to the dataset's directory, with forward slashes."""
         return artifact_place(self.artifact, self.item, self.variant)
 
 
@@ -44,16 +44,16 @@ class Task:
     inputs: dict[str, tuple[Binding, ...]]
     splits: Splits
     recorded_files: dict[str, str] = field(default_factory=dict)
-    """SHA-256 by path, of files that parameters name and this machine may lack."""
+    """SHA-256 by path of files that parameters name and that may be missing on this machine."""
 
     @property
     def place(self) -> str:
-        """Where the artifact lies below the dataset's directory, with forward slashes."""
+        """Path of the artifact relative to the dataset's directory, with forward slashes."""
         return artifact_place(self.stage.makes, self.item, self.variant)
 
     @property
     def target(self) -> Path:
-        """Where the artifact lies or will lie."""
+        """Path of the artifact, whether it exists or not."""
         return self.root / self.place
 
     @property
@@ -64,20 +64,20 @@ class Task:
 
     @property
     def bindings(self) -> list[Binding]:
-        """All that it reads, in order."""
+        """All inputs, in order."""
         return [binding for bindings in self.inputs.values() for binding in bindings]
 
     def input_path(self, binding: Binding) -> Path:
-        """Where an input lies."""
+        """Path of an input."""
         return self.root / binding.place
 
     @property
     def input_paths(self) -> list[Path]:
-        """Where all of them lie, in order."""
+        """Paths of all inputs, in order."""
         return [self.input_path(binding) for binding in self.bindings]
 
     def resumable_scratch(self, key: str) -> Path:
-        """The scratch directory of a resumable stage, named by the skip key: what a kill leaves in place."""
+        """The scratch directory of a resumable stage, named by the skip key; it survives a kill."""
         return self.root / SCRATCH / f"resume~{self.stage.makes.kind}~{self.variant}~{self.item}~{key[:32]}"
 
 
@@ -92,25 +92,25 @@ def plan(
     variant_inputs: dict[str, str] | None = None,
     requested: Requested | None = None,
 ) -> list[Task]:
-    """The tasks of a stage: one an item, or one for the dataset.
+    """The tasks of a stage: one per item, or one for the dataset.
 
     Args:
-        config: parameters by section; they go over what is recorded.
-        options: parameters that go over both.
+        config: parameters by section, which override the recorded ones.
+        options: parameters that override both.
         only: names of items; empty means all.
-        variant_inputs: variant of each input kind that has them; else as `dataset.json` says, else `variant`.
-        requested: what is recorded of the dataset; read from it by default.
+        variant_inputs: variant of each input kind that has variants; by default that of `dataset.json`, or `variant`.
+        requested: the parameters recorded with the dataset; by default read from it.
 
     Raises:
-        UsageError: an item, a variant, a section or a parameter is not what it may be.
-        BadData: what is recorded is not.
+        UsageError: an item, variant, section or parameter is unknown or invalid.
+        BadData: the recorded parameters are invalid.
     """
     makes = stage.makes
     items = dataset.items(makes.scope) if makes.scope != "dataset" else [""]
     wanted = set(dataset.select(only, makes.scope) if only and makes.scope != "dataset" else items)
     recorded_inputs = dataset.variants(makes).get(variant, Variant()).inputs
     chosen = {**recorded_inputs, **(variant_inputs or {})}
-    # They become names of folders, and what stands in a target's place is replaced.
+    # They become names of folders, and an existing target is replaced.
     for name in (variant, *chosen.values()):
         check_name(name, dataset.root)
     _refuse_unknown_sections(dataset, stage, config or {}, variant)
@@ -122,15 +122,15 @@ def plan(
             continue
         params = parameters.of(item)
         inputs = {
-            given.name: tuple(
+            input_.name: tuple(
                 Binding(
-                    given.artifact,
+                    input_.artifact,
                     name,
-                    chosen.get(given.artifact.kind, variant) if given.artifact.has_variants else "main",
+                    chosen.get(input_.artifact.kind, variant) if input_.artifact.has_variants else "main",
                 )
-                for name in _items_of(dataset, given, item, params)
+                for name in _items_of(dataset, input_, item, params)
             )
-            for given in stage.inputs
+            for input_ in stage.inputs
         }
         files = named_files(stage, params).values()
         tasks.append(
@@ -151,7 +151,7 @@ def plan(
 
 
 class _Parameters:
-    """The parameters of a stage's tasks: options over configuration over what is recorded over defaults."""
+    """The parameters of a stage's tasks: options, configuration, recorded ones, defaults, in order of precedence."""
 
     def __init__(
         self,
@@ -169,7 +169,7 @@ class _Parameters:
         self._shared: Params | None = None
 
     def of(self, item: str) -> Params:
-        """The parameters of one item's task. Those for which no section is of an item of theirs are one object."""
+        """The parameters of one item's task. Items without a section of their own share one object."""
         own = sections_for(self._stage.name, item, self._variant)[2:]
         if any(section in self._laid for section in own):
             return self._resolved(item)
@@ -187,16 +187,16 @@ class _Parameters:
             faulty = [section for section in sections if name in self._recorded.get(section, {})]
             if name in asked or not faulty:
                 raise
-            fix = f"forget it: bask-data {self._stage.name} {self._root} --defaults"
+            fix = f"drop the record: bask-data {self._stage.name} {self._root} --defaults"
             where = f"parameters.{faulty[-1]}.{error.field}"
             raise BadData(self._root / REQUESTED, where, expected=error.expected, got=error.got, fix=fix) from error
 
 
 def resolve(stage: Stage, config: Config, item: str, variant: str, options: dict[str, Any]) -> Params:
-    """The parameters of one task: options over sections, a narrow one over a wide one, over defaults.
+    """The parameters of one task: options, then sections from narrow to wide, then defaults, in order of precedence.
 
     Raises:
-        UsageError: a parameter is not what it may be.
+        UsageError: a parameter is unknown or invalid.
     """
     values: dict[str, Any] = {}
     for section in sections_for(stage.name, item, variant):
@@ -216,7 +216,7 @@ def resolve(stage: Stage, config: Config, item: str, variant: str, options: dict
 
 
 def _refuse_unknown_sections(dataset: Dataset, stage: Stage, config: Config, variant: str) -> None:
-    """A section `stage@name` for a name that does not exist is most likely misspelt, and would not count."""
+    """`UsageError` for a section `stage@name` of an unknown name: most likely misspelt, it would have no effect."""
     items = dataset.items(stage.makes.scope) if stage.makes.scope != "dataset" else []
     known = dict.fromkeys([*items, *dataset.variants(stage.makes), variant])
     for section in config:
@@ -226,32 +226,32 @@ def _refuse_unknown_sections(dataset: Dataset, stage: Stage, config: Config, var
             raise UsageError(section, "", expected=f"{name}@ and one of {', '.join(known)}", got=of)
 
 
-def _items_of(dataset: Dataset, given: Input, item: str, params: Params) -> list[str]:
-    read = params.reads(given.artifact.kind)
-    if given.gather:
-        items = dataset.items(given.artifact.scope)
-        if given.artifact.scope == "recording":
-            # No stage makes what belongs to recordings: their source brings it, or there is none.
-            sources, kind = {**dataset.file.scenes, **dataset.file.demonstrations}, given.artifact
+def _items_of(dataset: Dataset, input_: Input, item: str, params: Params) -> list[str]:
+    read = params.reads(input_.artifact.kind)
+    if input_.gather:
+        items = dataset.items(input_.artifact.scope)
+        if input_.artifact.scope == "recording":
+            # No stage makes artifacts of recordings: they come from the source, or do not exist.
+            sources, kind = {**dataset.file.scenes, **dataset.file.demonstrations}, input_.artifact
             items = [name for name in items if sources[name].truth or (dataset.path(kind, name) / MANIFEST).exists()]
         chosen = None if read is None else set(read)
         return [name for name in items if chosen is None or name in chosen]
     if read == ():
         return []
-    return [""] if given.artifact.scope == "dataset" else [item]
+    return [""] if input_.artifact.scope == "dataset" else [item]
 
 
 def named_files(stage: Stage, params: Params) -> dict[str, Path]:
-    """Files that parameters name, by parameter: what they hold is part of the key. They need not exist.
+    """Files that parameters name, by parameter: their content is part of the key. They need not exist.
 
     Such a field is declared with `json_schema_extra={"file": True}`.
     """
-    found = {}
+    files = {}
     for name, declared in stage.params.model_fields.items():
         value, extra = getattr(params, name), declared.json_schema_extra
         if isinstance(extra, dict) and extra.get("file") and value:
-            found[name] = Path(value)
-    return found
+            files[name] = Path(value)
+    return files
 
 
 def parameter_files(task: Task) -> dict[str, Path]:
@@ -260,8 +260,8 @@ def parameter_files(task: Task) -> dict[str, Path]:
     Raises:
         UsageError: a file does not exist.
     """
-    found = named_files(task.stage, task.params)
-    for name, file in found.items():
+    files = named_files(task.stage, task.params)
+    for name, file in files.items():
         if not file.is_file():
             raise UsageError(task.stage.name, name, expected="a file", got=str(file), fix="check the path.")
-    return found
+    return files

@@ -89,7 +89,7 @@ def test_interrupt_leaves_with_130_and_says_how_to_go_on(dataset: Dataset, monke
     monkeypatch.setattr("bask_data.cli.stages.made", interrupted)
     ended = cli("reconstruct", dataset.root)
     assert ended.exit_code == 130
-    assert "the same command goes on from there" in ended.stderr
+    assert "run the same command again to continue" in ended.stderr
 
 
 def test_library_that_does_not_load_leaves_with_5(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:

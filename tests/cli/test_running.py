@@ -95,8 +95,8 @@ def test_a_run_says_where_it_is_and_how_long_it_takes(capsys: pytest.CaptureFixt
         path = str(tmp_path / kind / item)
         return Outcome(f"{kind} {item}", kind, item, "main", path, status, seconds=seconds)  # type: ignore[arg-type]
 
-    foreseen = [outcome("masks", name, "would make") for name in "abc"] + [outcome("masks", "d", "up to date")]
-    course = Course(Forecast(tmp_path, foreseen), is_pipeline=True)
+    predicted = [outcome("masks", name, "would make") for name in "abc"] + [outcome("masks", "d", "up to date")]
+    course = Course(Forecast(tmp_path, predicted), is_pipeline=True)
     course.begin(Position("masks", "main", 3, 7, "a", 1, 4))
     list(course.shown([outcome("masks", "a", "failed", 100.0)]))
     course.begin(Position("masks", "main", 3, 7, "d", 4, 4))
@@ -105,7 +105,7 @@ def test_a_run_says_where_it_is_and_how_long_it_takes(capsys: pytest.CaptureFixt
     assert told[0] == "  stage 3 of 7: masks a (1 of 4)"
     assert told[-1] == "  up to date  1 masks"
     assert not any("masks d" in line for line in told), "what is up to date is counted"
-    course = Course(Forecast(tmp_path, foreseen), is_pipeline=False)
+    course = Course(Forecast(tmp_path, predicted), is_pipeline=False)
     course._forecast._seconds["masks"] = [40.0]
     course.begin(Position("masks", "main", 1, 1, "", 1, 4))
     assert capsys.readouterr().err == "  masks (4 items), about 2 min 0 s left\n"

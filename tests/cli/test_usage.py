@@ -31,9 +31,9 @@ FORM = re.compile(r"error: [^:]+: (\S+: )?expected .+, got .+\.  fix: .+")
             "train d --stepz 3",
             "bask-data train: expected an option of this command, got --stepz.  fix: did you mean --s",
         ),
-        ("train d --voxel-size 3", "got --voxel-size.  fix: `bask-data train --help` lists what it takes."),
+        ("train d --voxel-size 3", "got --voxel-size.  fix: see `bask-data train --help`."),
         ("train d -x", "bask-data train: expected an option of this command, got -x."),
-        ("status d --json=1", "bask-data status: --json: expected no value, got one.  fix: write --json alone."),
+        ("status d --json=1", "bask-data status: --json: expected no value, got a value.  fix: write --json alone."),
         ("train d more words", "bask-data train: expected ROOT and nothing more, got more words."),
         ("trian d", "bask-data: expected one of its commands, got trian.  fix: did you mean train?"),
         ("ingest fames . d", "bask-data ingest: expected one of its commands, got fames.  fix: did you mean frames?"),
@@ -74,4 +74,4 @@ def test_usage_errors_of_the_program_itself_leave_with_2() -> None:
     ended = subprocess.run([sys.executable, "-m", "bask_data.cli", "--nope"], capture_output=True, text=True)
     assert (ended.returncode, ended.stdout) == (2, "")
     message = "error: bask-data: expected an option of this command, got --nope."
-    assert ended.stderr == f"{message}  fix: `bask-data --help` lists what it takes.\n"
+    assert ended.stderr == f"{message}  fix: see `bask-data --help`.\n"

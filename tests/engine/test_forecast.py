@@ -10,7 +10,7 @@ from bask_data.engine import Outcome
 from bask_data.engine.forecast import Forecast
 
 
-def foreseen(root: Path, kind: str, item: str, status: str = "would make") -> Outcome:
+def predicted(root: Path, kind: str, item: str, status: str = "would make") -> Outcome:
     return Outcome(f"make {item}", kind, item, "main", str(root / kind / item), status)  # type: ignore[arg-type]
 
 
@@ -21,20 +21,20 @@ def record(root: Path, kind: str, item: str, content: object) -> None:
 
 
 def test_what_was_made_tells_how_long_the_rest_takes(tmp_path: Path) -> None:
-    tasks = [foreseen(tmp_path, "mesh", name) for name in "abc"]
+    tasks = [predicted(tmp_path, "mesh", name) for name in "abc"]
     forecast = Forecast(tmp_path, tasks)
     assert forecast.left() == (0.0, False)
-    forecast.came(replace(tasks[0], status="made", seconds=10.0))
+    forecast.count(replace(tasks[0], status="made", seconds=10.0))
     assert forecast.left() == (20.0, True)
-    forecast.came(replace(tasks[1], status="made", seconds=20.0))
+    forecast.count(replace(tasks[1], status="made", seconds=20.0))
     assert forecast.left() == (15.0, True)
-    forecast.came(replace(tasks[2], status="failed", seconds=1.0))
+    forecast.count(replace(tasks[2], status="failed", seconds=1.0))
     assert forecast.left() == (0.0, True)
 
 
 def test_records_of_earlier_work_tell_it_before_anything_is_made(tmp_path: Path) -> None:
-    tasks = [foreseen(tmp_path, "mesh", name) for name in "ab"]
-    tasks.append(foreseen(tmp_path, "mesh", "c", "up to date"))
+    tasks = [predicted(tmp_path, "mesh", name) for name in "ab"]
+    tasks.append(predicted(tmp_path, "mesh", "c", "up to date"))
     record(tmp_path, "mesh", "b", {"seconds": 4.0})
     record(tmp_path, "mesh", "c", {"seconds": 8.0})
     assert Forecast(tmp_path, tasks).left() == (12.0, True)
@@ -43,23 +43,23 @@ def test_records_of_earlier_work_tell_it_before_anything_is_made(tmp_path: Path)
 @pytest.mark.parametrize("content", [{}, {"seconds": "long"}, [], None])
 def test_a_record_that_is_not_sound_tells_nothing(tmp_path: Path, content: object) -> None:
     record(tmp_path, "mesh", "a", content)
-    assert Forecast(tmp_path, [foreseen(tmp_path, "mesh", "a")]).left() == (0.0, False)
+    assert Forecast(tmp_path, [predicted(tmp_path, "mesh", "a")]).left() == (0.0, False)
 
 
 def test_what_is_not_known_of_one_stage_makes_it_a_lower_bound(tmp_path: Path) -> None:
     record(tmp_path, "mesh", "a", {"seconds": 4.0})
-    tasks = [foreseen(tmp_path, "mesh", "a"), foreseen(tmp_path, "net", "")]
+    tasks = [predicted(tmp_path, "mesh", "a"), predicted(tmp_path, "net", "")]
     assert Forecast(tmp_path, tasks).left() == (4.0, False)
 
 
 def test_workers_share_the_items_of_a_stage(tmp_path: Path) -> None:
     record(tmp_path, "mesh", "a", {"seconds": 4.0})
-    tasks = [foreseen(tmp_path, "mesh", name) for name in "abcdef"]
+    tasks = [predicted(tmp_path, "mesh", name) for name in "abcdef"]
     assert Forecast(tmp_path, tasks, workers=3).left() == (8.0, True)
     assert Forecast(tmp_path, tasks[:1], workers=3).left() == (4.0, True)
 
 
-def test_only_what_would_be_made_is_awaited(tmp_path: Path) -> None:
-    forecast = Forecast(tmp_path, [foreseen(tmp_path, "mesh", "a"), foreseen(tmp_path, "mesh", "b", "up to date")])
-    assert forecast.is_awaited("mesh") and forecast.is_awaited("mesh", "a")
-    assert not forecast.is_awaited("mesh", "b") and not forecast.is_awaited("net")
+def test_only_what_would_be_made_is_pending(tmp_path: Path) -> None:
+    forecast = Forecast(tmp_path, [predicted(tmp_path, "mesh", "a"), predicted(tmp_path, "mesh", "b", "up to date")])
+    assert forecast.is_pending("mesh") and forecast.is_pending("mesh", "a")
+    assert not forecast.is_pending("mesh", "b") and not forecast.is_pending("net")

@@ -13,7 +13,7 @@ from filelock import FileLock
 from bask_data.artifact import read_manifest
 from bask_data.core.tsdf import Mesh
 from bask_data.dataset import Dataset, Splits, Variant
-from bask_data.engine import Outcome, Stage, State, follow, foretold, in_order, is_follower, make, plan, run, state_of
+from bask_data.engine import Outcome, Stage, State, follow, in_order, is_follower, make, plan, predicted, run, state_of
 from bask_data.errors import UsageError
 from bask_data.kinds import DescriptorNet, Reconstruction, ReferenceKeypoints
 from tests.datasets import add_scan
@@ -120,7 +120,7 @@ def test_failure_of_one_item_leaves_the_others_and_the_old_artifact(dataset: Dat
 
 
 def test_dry_run_makes_nothing(dataset: Dataset) -> None:
-    outcomes = list(foretold(plan(dataset, fuse), set()))
+    outcomes = list(predicted(plan(dataset, fuse), set()))
     assert [outcome.status for outcome in outcomes] == ["would make", "would make"]
     assert not (dataset.root / "reconstruction").exists()
 

@@ -138,7 +138,7 @@ def test_a_file_that_is_not_on_this_machine_is_compared_by_what_is_recorded_of_i
     [state, _] = [there.state for there in status(dataset, STAGES, RunRequest(stages=("fuse",)))]
     assert (state.status, state.why) == (
         "up to date",
-        f"{file} is not there; compared with what is recorded of it",
+        f"{file} is missing; compared with its recorded SHA-256",
     )
     assert made(dataset) == ["up to date", "up to date"]
     [outcome, _] = run_pipeline(dataset, STAGES, RunRequest(stages=("fuse",)), force=True)
@@ -153,7 +153,7 @@ def test_a_file_of_which_nothing_is_recorded_leaves_status_unable_to_tell(datase
     request = RunRequest(stages=("fuse",), options={"file": str(tmp_path / "none")})
     [state, _] = [there.state for there in status(dataset, STAGES, request)]
     assert state.status == "blocked"
-    assert "cannot tell whether it is up to date: fuse: file: expected a file, got" in state.why
+    assert "unknown whether it is up to date: fuse: file: expected a file, got" in state.why
     assert state.blocked is not None
     assert (state.blocked.kind, state.blocked.fix) == ("file missing", "check the path.")
 
@@ -185,7 +185,7 @@ def test_a_file_that_says_what_it_may_not_is_refused(dataset: Dataset, text: str
     [
         (
             {"voxel_size": -1},
-            r"parameters.fuse.voxel_size: expected greater than 0, got -1.  fix: forget it: .*--defaults",
+            r"parameters.fuse.voxel_size: expected greater than 0, got -1.  fix: drop the record: .*--defaults",
         ),
         ({"voxel": 1}, "parameters.fuse.voxel: expected no field of that name, got 1"),
     ],

@@ -597,4 +597,4 @@ def test_a_dataset_to_hold_against_needs_a_name(shared: Dataset) -> None:
     twice = [part for _ in range(2) for part in ("--against", f"o={shared.root}")]
     shown = CliRunner().invoke(app, ["evaluate", "descriptor", str(shared.root), *twice])
     assert shown.exit_code == UsageError.exit_code
-    assert "--against: expected names that differ, got o twice" in shown.stderr
+    assert "--against: expected each name once, got o twice" in shown.stderr

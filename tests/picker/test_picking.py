@@ -239,7 +239,7 @@ def test_ctrl_c_ends_as_finish_does_once_something_was_saved(dataset, monkeypatc
         assert f"next: bask-data encode {dataset.root}" in ended.stderr
     else:
         assert ended.exit_code == 130
-        assert "nothing was saved; what was picked is kept, and the same command goes on with it." in ended.stderr
+        assert "nothing was saved; the picks are kept, and the same command continues with them." in ended.stderr
         assert list((dataset.root / SCRATCH).glob("picks*.json"))
 
 
@@ -270,8 +270,8 @@ def test_without_objects_there_is_nothing_to_propose(dataset) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--port", "8000"], "--port: expected to come with --pick, got it alone"),
-        (["--pick", "--dry-run"], "--dry-run: expected no --pick beside it, got both"),
+        (["--port", "8000"], "--port: expected --pick as well, got --port alone"),
+        (["--pick", "--dry-run"], "expected --dry-run without --pick, got both"),
         (["--pick", "--port", "70000"], "--port: expected a whole number of at least 0 and at most 65535, got '70000'"),
     ],
 )

@@ -397,7 +397,8 @@ def test_command_reports_its_results_and_the_next_command(tmp_path: Path) -> Non
 
 def test_command_reports_failed_demonstrations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simulate_module, "simulate", lambda *_, **__: ([], 4))
-    assert "4 demonstrations failed at the task and were drawn anew" in command(tmp_path / "d", "--task", "lid")[2]
+    stderr = command(tmp_path / "d", "--task", "lid")[2]
+    assert "4 demonstrations failed at the task and were replaced by others" in stderr
 
 
 @pytest.mark.parametrize(

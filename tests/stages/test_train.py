@@ -126,7 +126,7 @@ def test_another_training_of_the_same_network_is_waited_for_and_it_is_told(datas
     finally:
         listen(None)
         other.release()
-    assert told[0] == "train: another process is making it; this one waits until that has ended"
+    assert told[0] == "train: waiting for another process that is making it"
     assert made(dataset).status == "made"
 
 
@@ -419,9 +419,8 @@ def test_a_group_of_processes_does_not_wait_for_another(dataset, monkeypatch):
     monkeypatch.setattr(resumable, "processes", lambda: 2)
     with FileLock(dataset.root / ".scratch" / "resume~descriptor~main~~.lock"):
         outcome = made(dataset, seed=8)
-    assert (
-        outcome.why == "train: expected nobody else to make it, got another process.  fix: wait until that has ended."
-    )
+    message = "train: expected no other process making it, got one that is running.  fix: wait until it has finished."
+    assert outcome.why == message
 
 
 def test_pretrained_weights_are_taken_over(tmp_path):

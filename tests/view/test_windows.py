@@ -138,7 +138,7 @@ def test_people_and_scripts_learn_what_is_shown_and_what_is_not(filled, tmp_path
     assert list(result["items"]) == ["demo-a", "scan-a"]
     assert result["items"]["demo-a"]["frames"] == {"wrist": 3}
     assert "shown       scan-a: 3 frames of wrist; surface, instances, masks, truth" in ended.stderr
-    assert "not there   demo-a: gripper (only cameras were recorded)" in ended.stderr
+    assert "missing     demo-a: gripper (only cameras were recorded)" in ended.stderr
     assert f"open it with: rerun {tmp_path / 'a.rrd'}" in ended.stderr
 
 
@@ -158,7 +158,7 @@ def test_a_network_s_variant_may_be_shown(filled: Dataset, tmp_path):
     [
         (["--only", "b"], 2, "--only: expected one of scan-a, demo-a, got b"),
         (["--variant", "b"], 2, "--variant: expected one of main, got b"),
-        (["--port", "9090"], 2, "--port: expected to come with --web"),
+        (["--port", "9090"], 2, "--port: expected --web as well"),
         (["--save", "a.txt"], 2, "--save: expected a name that ends in .rrd"),
         (["--every", "0", "--save", "a.rrd"], 2, "--every: expected a whole number of at least 1, got '0'"),
     ],
