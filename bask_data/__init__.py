@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["KeypointTracker", "__version__", "open", "torch"]
 
-# Everything imports this package, and what stands behind these names takes long to import.
+# Every import of a module imports this package, and the modules behind these names are slow to import.
 _LAZY = {"KeypointTracker": "bask_data.tracker", "open": "bask_data.notebook.opened", "torch": ""}
 
 

@@ -1,7 +1,7 @@
-"""Artifacts: typed, immutable directories that appear whole or not at all.
+"""Artifacts: typed, immutable directories that are published as a whole or not at all.
 
-An artifact is a Zarr v3 group with a manifest, `artifact.json`, that names what made it and holds the SHA-256 of every
-other file. The manifest is deterministic: no time, host or user in it, so equal inputs give equal bytes.
+An artifact is a Zarr v3 group with a manifest, `artifact.json`, which states what made it and the SHA-256 of every
+other file. The manifest is deterministic: it contains no time, host or user, so equal inputs give equal bytes.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 MANIFEST = "artifact.json"
 SCRATCH = ".scratch"
 REMAKE = "make it again with --force, a recording with `bask-data ingest`."
-"""How an artifact that does not hold what it should is mended."""
+"""The fix for an artifact with invalid content."""
 MOST_JSON_BYTES = 64 * 2**20
-"""Of a document that is read at all: what is larger is none of ours."""
+"""Largest JSON document that is read, in bytes; ours are far smaller."""
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
 Scope = Literal["scene", "demonstration", "recording", "dataset"]
@@ -42,17 +42,17 @@ Scope = Literal["scene", "demonstration", "recording", "dataset"]
 
 
 class Metadata(BaseModel):
-    """Base of what a kind states in the attribute `bask` of its group, besides `kind` and `schema`."""
+    """Base of a kind's metadata: the attribute `bask` of its group, without `kind` and `schema`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 @dataclass(frozen=True)
 class ArraySpec:
-    """What a schema says of one array.
+    """Schema of an array.
 
     Args:
-        dims: names of the axes; the same name means the same length (t, h, w: within a camera).
+        dims: names of the axes; equal names mean equal lengths (t, h, w: within a camera).
         optional: the array may be absent.
     """
 
@@ -66,7 +66,7 @@ class ArraySpec:
 
 @dataclass(frozen=True)
 class TableSpec:
-    """What a schema says of one Parquet file: columns in order, each with an Arrow type and a description."""
+    """Schema of a Parquet file: columns in order, each with an Arrow type and a description."""
 
     columns: dict[str, tuple[str, str]] = field(default_factory=dict)
 
@@ -101,7 +101,7 @@ class Manifest(BaseModel):
 
 
 class Artifact:
-    """A handle on one published artifact. Subclasses, one per kind, declare what it holds and read it."""
+    """A handle on a published artifact. Subclasses, one per kind, declare its contents and read them."""
 
     kind: ClassVar[str]
     scope: ClassVar[Scope]
@@ -120,7 +120,7 @@ class Artifact:
 
     @cached_property
     def manifest(self) -> Manifest:
-        """The manifest; `BadData` if it is missing or broken."""
+        """The manifest; `BadData` if it is missing or damaged."""
         return read_manifest(self.path)
 
     @cached_property
@@ -149,14 +149,14 @@ class Artifact:
             raise BadData(self.path / "zarr.json", f"bask.{field}", expected=expected, got=came, fix=REMAKE) from error
 
     def summary(self) -> list[str]:
-        """Lines that a person reads when the artifact was made; most kinds have none."""
+        """Lines to show when the artifact was made; most kinds have none."""
         return []
 
     def check_complete(self) -> None:
-        """Refuse an artifact of another version, or one that has lost a file: a missing chunk would read as zeros.
+        """Refuse an artifact of another version, or with missing files: a missing chunk would read as zeros.
 
         Raises:
-            BadData: the manifest is damaged, of another kind or version, or names a file that is not there.
+            BadData: the manifest is damaged, of another kind or version, or lists a file that is missing.
         """
         manifest = self.manifest
         if (manifest.kind, manifest.schema_version) != (self.kind, self.schema_version):
@@ -170,7 +170,7 @@ class Artifact:
 
     @property
     def camera_names(self) -> list[str]:
-        """Names of the cameras, sorted; none for kinds without cameras."""
+        """Names of the cameras, sorted; empty for kinds without cameras."""
         names = (folder.name for folder in self.path.iterdir() if (folder / "zarr.json").exists())
         return sorted(
             name
@@ -181,7 +181,7 @@ class Artifact:
 
 
 def canonical_json(value: object) -> bytes:
-    """JSON with sorted keys and no spaces: the same value gives the same bytes. NaN and infinity are refused."""
+    """JSON with sorted keys and no spaces: equal values give equal bytes. `ValueError` for NaN and infinity."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
 
 
@@ -197,7 +197,7 @@ def file_digest(path: Path) -> str:
 
 
 def read_attributes(group: Path) -> dict[str, Any]:
-    """The attributes of a Zarr v3 group without the cost of importing zarr; `BadData` if it is none."""
+    """The attributes of a Zarr v3 group, without the cost of importing zarr; `BadData` if it is not one."""
     file = group / "zarr.json"
     document = read_json(file)
     if not isinstance(document, dict) or document.get("node_type") != "group" or document.get("zarr_format") != 3:
@@ -214,7 +214,7 @@ def write_group(path: Path, attributes: dict[str, Any]) -> None:
 
 
 def read_json(file: Path) -> Any:
-    """A JSON document; `BadData` with the path if it is missing, too large or broken."""
+    """A JSON document; `BadData` with the path if it is missing, too large or invalid."""
     try:
         if file.stat().st_size > MOST_JSON_BYTES:
             raise BadData(file, "", expected="a JSON document below 64 MiB", got=f"{file.stat().st_size} bytes")
@@ -226,12 +226,12 @@ def read_json(file: Path) -> Any:
 
 
 def write_json_atomically(file: Path, value: object) -> None:
-    """Replace a JSON file in one step: readers see the old one or the new one."""
+    """Replace a JSON file atomically: readers see the old one or the new one."""
     write_text_atomically(file, json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def write_text_atomically(file: Path, text: str) -> None:
-    """Replace a text file in one step: readers see the old one or the new one. What fails leaves nothing beside it."""
+    """Replace a text file atomically: readers see the old one or the new one. A failure leaves no temporary file."""
     file.parent.mkdir(parents=True, exist_ok=True)
     temporary = file.with_name(f".{file.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
     try:
@@ -244,9 +244,9 @@ def write_text_atomically(file: Path, text: str) -> None:
 
 
 def read_manifest(path: Path) -> Manifest:
-    """The manifest of the artifact at `path`; `BadData` if it is missing or broken."""
+    """The manifest of the artifact at `path`; `BadData` if it is missing or damaged."""
     file = path / MANIFEST
-    # Thousands are read by one command, nearly all of them whole: the way that says what is wrong is the second.
+    # A command may read thousands, nearly all valid: first the fast way, then the one that explains the error.
     with suppress(OSError, ValidationError), file.open("rb") as stream:
         if os.fstat(stream.fileno()).st_size <= MOST_JSON_BYTES:
             return Manifest.model_validate_json(stream.read())
@@ -258,15 +258,15 @@ def read_manifest(path: Path) -> Manifest:
 
 
 def list_files(path: Path) -> Iterator[tuple[str, Path]]:
-    """Every file below `path` but the manifest, as (name with forward slashes, path), in sorted order."""
-    found = []
+    """Every file below `path` except the manifest, as (name with forward slashes, path), sorted by name."""
+    files = []
     for folder, _, names in os.walk(path, followlinks=False):
         for name in names:
             file = Path(folder) / name
             relative = file.relative_to(path).as_posix()
             if relative != MANIFEST:
-                found.append((relative, file))
-    yield from sorted(found)
+                files.append((relative, file))
+    yield from sorted(files)
 
 
 def seal(
@@ -279,7 +279,7 @@ def seal(
     inputs: dict[str, str],
     key: str,
 ) -> Manifest:
-    """Write the manifest of a finished scratch directory and force everything to disk."""
+    """Write the manifest of a finished scratch directory and sync everything to disk."""
     files = {name: FileEntry(sha256=file_digest(file), bytes=file.stat().st_size) for name, file in list_files(scratch)}
     manifest = Manifest(
         kind=artifact.kind,
@@ -301,18 +301,18 @@ def seal(
 
 
 def content_digest(files: dict[str, FileEntry]) -> str:
-    """The digest of an artifact's content: its file names and their SHA-256."""
+    """Digest of an artifact's content: of its file names and their SHA-256."""
     return digest_of({name: entry.sha256 for name, entry in files.items()})
 
 
 def publish(scratch: Path, target: Path) -> None:
-    """Move a sealed scratch directory to its place in one step, whatever stood there before."""
+    """Move a sealed scratch directory to its target atomically, replacing an existing artifact."""
     target.parent.mkdir(parents=True, exist_ok=True)
     if not target.exists():
         try:
             os.rename(scratch, target)
         except OSError as error:
-            # Another process published the same artifact in between; exchange with it below.
+            # Another process has published the same artifact meanwhile; it is exchanged below.
             if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
                 raise
         else:
@@ -324,7 +324,7 @@ def publish(scratch: Path, target: Path) -> None:
 
 
 def _exchange(scratch: Path, target: Path) -> None:
-    """Swap two directories. Where the file system cannot, the old one is parked; `recover` undoes a kill in between."""
+    """Swap two directories. If the file system cannot, the old one is parked; after a kill, `recover` restores it."""
     libc = ctypes.CDLL(None, use_errno=True)
     if hasattr(libc, "renameat2"):
         done = libc.renameat2(
@@ -341,14 +341,14 @@ def _exchange(scratch: Path, target: Path) -> None:
 
 
 def new_scratch(root: Path, name: str) -> Path:
-    """An empty scratch directory in the dataset, on the same file system as the artifact it will become."""
+    """An empty scratch directory in the dataset, on the same file system as the future artifact."""
     scratch = root / SCRATCH / f"{name}~{socket.gethostname()}~{os.getpid()}~{uuid.uuid4().hex[:8]}"
     scratch.mkdir(parents=True)
     return scratch
 
 
 def recover(root: Path) -> None:
-    """Bring back parked artifacts and remove the scratch of processes of this host that are gone."""
+    """Restore parked artifacts, and remove the scratch directories of processes that have ended on this host."""
     for parked in (root / SCRATCH).glob("*.parked"):
         if _is_abandoned(parked.name):
             target = Path((parked / "target").read_text()) if (parked / "target").exists() else None
@@ -362,7 +362,7 @@ def recover(root: Path) -> None:
 
 
 def _is_abandoned(name: str) -> bool:
-    """Whether the process that made this scratch directory is gone. One of another host may be alive."""
+    """Whether the process that made a scratch directory has ended. One on another host may still run."""
     parts = name.split("~")
     if len(parts) != 4 or parts[1] != socket.gethostname() or not parts[2].isdigit():
         return False

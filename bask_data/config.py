@@ -1,4 +1,4 @@
-"""Parameters from a YAML file and from `--set`, checked for names before anything runs."""
+"""Parameters from a YAML file and `--set`, with names checked before anything runs."""
 
 from __future__ import annotations
 
@@ -17,17 +17,16 @@ from bask_data.spelling import suggestion
 def load_config(
     file: Path | None, assignments: Sequence[str], stages: Iterable[Stage], preset_name: PresetName | None = None
 ) -> Config:
-    """Sections `stage` or `stage@name` with parameters; a preset goes over the file, `--set stage.field=value` over
-    both.
+    """Parameters by section, `stage` or `stage@name`; a preset overrides the file, `--set stage.field=value` both.
 
     Raises:
-        BadData: the file is no YAML mapping of mappings.
-        UsageError: a section or a field that no stage has.
+        BadData: the file is not a YAML mapping of mappings.
+        UsageError: no stage has a section or a field.
     """
     config = sections_of(file) if file else {}
     for section, values in preset(preset_name, stages).items() if preset_name else ():
         config.setdefault(section, {}).update(values)
-        # What the file says of one variant would go over what it says of all, and so over the preset.
+        # Values of the file for single variants or items would otherwise override the preset.
         for other in (config[name] for name in config if name.startswith(f"{section}@")):
             for field in values:
                 other.pop(field, None)
@@ -54,11 +53,11 @@ def load_config(
 
 
 def sections_of(file: Path) -> Config:
-    """What a YAML file says, section by section, not held against what stages know.
+    """The sections of a YAML file, not checked against the stages.
 
     Raises:
-        UsageError: there is no such file.
-        BadData: it is no YAML mapping of mappings.
+        UsageError: the file does not exist.
+        BadData: it is not a YAML mapping of mappings.
     """
     import yaml
 
@@ -73,7 +72,7 @@ def sections_of(file: Path) -> Config:
 
 def _sections(document: Any, file: Path) -> Config:
     if not isinstance(document, dict):
-        raise BadData(file, "", expected="sections named like stages", got=type(document).__name__)
+        raise BadData(file, "", expected="a section per stage", got=type(document).__name__)
     for section, values in document.items():
         if not isinstance(values, dict | None):
             raise BadData(file, str(section), expected="parameters by name", got=str(values)[:60])
@@ -91,7 +90,7 @@ def _value(text: str) -> Any:
 
 @contextmanager
 def section_written(file: Path, section: str, values: dict[str, Any]) -> Iterator[None]:
-    """`write_section`, taken back to the byte if what is done under it fails."""
+    """`write_section`, undone to the byte if the body fails."""
     before = write_section(file, section, values)
     try:
         yield
@@ -104,13 +103,13 @@ def section_written(file: Path, section: str, values: dict[str, Any]) -> Iterato
 
 
 def write_section(file: Path, section: str, values: dict[str, Any]) -> str | None:
-    """Set parameters of one section of a YAML file, which need not exist; the rest stays as it is, comments included.
+    """Set parameters in one section of a YAML file, which need not exist; the rest is kept, including comments.
 
     Returns:
-        what the file held before; None if there was none.
+        the former text of the file; None if there was none.
 
     Raises:
-        BadData: the file is no YAML mapping of mappings, or cannot be written.
+        BadData: the file is not a YAML mapping of mappings, or cannot be written.
     """
     import yaml
 
@@ -119,12 +118,12 @@ def write_section(file: Path, section: str, values: dict[str, Any]) -> str | Non
     before = file.read_bytes().decode() if file.exists() else None
     text = _with_section(before or "", section, wanted[section])
     if not _says(text, wanted, file):
-        # It is written in a way whose lines cannot be exchanged: all of it in one, for instance.
+        # Its layout does not allow replacing lines: flow style on a single line, for instance.
         text = yaml.safe_dump(wanted, sort_keys=False, allow_unicode=True)
     try:
         write_text_atomically(file, text)
     except OSError as error:
-        raise BadData(file, "", expected="a file that can be written", got=str(error)) from error
+        raise BadData(file, "", expected="a writable file", got=str(error)) from error
     return before
 
 
@@ -138,12 +137,12 @@ def _with_section(text: str, section: str, values: dict[str, Any]) -> str:
     if not isinstance(root, yaml.MappingNode):
         begin = end = len(lines)
     else:
-        # Where each section begins; the last one ends with the document, whose mark may follow.
+        # First line of each section; the last section ends with the document, where an end mark may follow.
         begins = [key.start_mark.line for key, _ in root.value]
         begins.append(root.end_mark.line + (root.end_mark.column > 0))
         i = next((i for i, (key, _) in enumerate(root.value) if key.value == section), len(root.value))
         begin, end = begins[i], begins[min(i + 1, len(root.value))]
-    # Empty lines and comments before the next section belong to what comes after.
+    # Empty lines and comments before the next section belong to that section.
     while end > begin + 1 and (lines[end - 1].startswith("#") or not lines[end - 1].strip()):
         end -= 1
     if begin and not lines[begin - 1].endswith("\n"):
@@ -152,7 +151,7 @@ def _with_section(text: str, section: str, values: dict[str, Any]) -> str:
 
 
 def _says(text: str, wanted: Config, file: Path) -> bool:
-    """Whether a text is YAML of these sections, and names none of its keys twice."""
+    """Whether a text is YAML with exactly these sections and no duplicate key."""
     import yaml
 
     try:
@@ -163,13 +162,13 @@ def _says(text: str, wanted: Config, file: Path) -> bool:
 
 
 def _has_key_twice(root: Any) -> bool:
-    """Whether any mapping has one key twice, of which loading takes the last without a word."""
+    """Whether any mapping has a duplicate key; loading silently takes the last one."""
     import yaml
 
     pending, seen = [root], set()
     while pending:
         node = pending.pop()
-        if id(node) in seen:  # By an alias.
+        if id(node) in seen:  # Reached through an alias.
             continue
         seen.add(id(node))
         if isinstance(node, yaml.MappingNode):

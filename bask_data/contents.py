@@ -1,4 +1,4 @@
-"""What a dataset holds: each artifact with its size, its digest and what it states of itself."""
+"""Contents of a dataset: each artifact with its size, digest and metadata."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from bask_data.validate import artifacts_on_disk, total_bytes
 
 @dataclass(frozen=True)
 class Holding:
-    """One artifact.
+    """An artifact of a dataset.
 
     Args:
-        artifact: its path in the dataset.
+        artifact: path relative to the dataset.
         made_by: stage and version.
-        cameras: of a recording, `frames x WIDTHxHEIGHT` by name.
+        cameras: cameras of a recording, as `frames x WIDTHxHEIGHT` by name.
     """
 
     artifact: str
@@ -30,7 +30,7 @@ class Holding:
 
 
 def contents(dataset: Dataset) -> list[Holding]:
-    """Every artifact that the dataset lists and that exists, in the order of the kinds."""
+    """Every artifact that is listed in the dataset and exists, in the order of the kinds."""
     return [_holding(artifact, dataset) for artifact in artifacts_on_disk(dataset)]
 
 
@@ -49,6 +49,6 @@ def _holding(artifact: Artifact, dataset: Dataset) -> Holding:
 def _camera_sizes(artifact: Artifact) -> dict[str, str]:
     if not isinstance(artifact, Recording):
         return {}
-    # Off the documents: opening thousands of arrays with Zarr would take ten times as long.
+    # From the JSON documents: opening thousands of arrays with Zarr would take ten times as long.
     shapes = {name: read_json(artifact.path / name / "depth" / "zarr.json")["shape"] for name in artifact.camera_names}
     return {name: f"{n_frames} x {width}x{height}" for name, (n_frames, height, width) in shapes.items()}

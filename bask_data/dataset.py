@@ -1,4 +1,4 @@
-"""Datasets: a directory with a list of its items, `dataset.json`."""
+"""Datasets: directories with a list of their items, `dataset.json`."""
 
 from __future__ import annotations
 
@@ -116,10 +116,10 @@ class Dataset:
 
     @staticmethod
     def create(root: Path | str, name: str = "", licence: str = "") -> Dataset:
-        """Make an empty dataset; `WouldOverwrite` if there is one."""
+        """Create an empty dataset; `WouldOverwrite` if there is one."""
         root = Path(root)
         if (root / DATASET).exists():
-            raise WouldOverwrite(root / DATASET, "", expected="no dataset", got="one", fix="use it as it is.")
+            raise WouldOverwrite(root / DATASET, "", expected="no dataset", got="one", fix="use the existing dataset.")
         if root.exists() and not root.is_dir():
             raise UsageError(root, "", expected="a directory", got="a file")
         write_group(root, {"bask": {"dataset": 1}})
@@ -129,12 +129,12 @@ class Dataset:
 
     @staticmethod
     def open_if_any(root: Path | str) -> Dataset | None:
-        """Open the dataset, if there is one."""
+        """Open the dataset; None if there is none."""
         return Dataset(root) if (Path(root) / DATASET).exists() else None
 
     @staticmethod
     def open_or_create(root: Path | str) -> Dataset:
-        """Open the dataset, or make it if there is nothing at all."""
+        """Open the dataset, or create it if there is none."""
         return Dataset(root) if (Path(root) / DATASET).exists() else Dataset.create(root)
 
     def items(self, scope: str) -> list[str]:
@@ -165,15 +165,15 @@ class Dataset:
         return list(dict.fromkeys(names)) or known
 
     def path(self, artifact: type[Artifact], item: str = "", variant: str = "main") -> Path:
-        """Where an artifact lies, whether it exists or not."""
+        """Path of an artifact, whether it exists or not."""
         return self.root / artifact_place(artifact, item, variant)
 
     def prepare(self, artifact: type[Artifact], variant: str = "main") -> None:
-        """Make the groups above an artifact, so that any Zarr reader finds its way down."""
+        """Create the groups above an artifact, so that any Zarr reader can find it."""
         write_groups_above(self.root, artifact, variant)
 
     def add(self, scope: str, item: str, source: Source) -> None:
-        """Enter an item, or replace its source."""
+        """Add an item, or replace its source."""
 
         def enter(file: DatasetFile) -> DatasetFile:
             scenes, demonstrations = dict(file.scenes), dict(file.demonstrations)
@@ -181,19 +181,19 @@ class Dataset:
             return file.model_copy(update={"scenes": scenes, "demonstrations": demonstrations})
 
         check_name(item, self.root / DATASET)
-        other = self.file.demonstrations if scope == "scene" else self.file.scenes
-        if item in other:
+        other_scope = "demonstration" if scope == "scene" else "scene"
+        if item in self.items(other_scope):
             raise UsageError(
                 self.root / DATASET,
                 item,
                 expected=f"a {scope}",
-                got="the name of the other sort of recording",
+                got=f"the name of a {other_scope}",
                 fix="choose another name.",
             )
         self._update(enter)
 
     def add_variant(self, artifact: type[Artifact], name: str, variant: Variant) -> None:
-        """Enter a variant of a kind, so that `status` and `run` know it."""
+        """Add a variant of a kind to the list, so that `status` and `run` include it."""
         check_name(name, self.root / DATASET)
 
         def enter(file: DatasetFile) -> DatasetFile:
@@ -204,7 +204,7 @@ class Dataset:
             self._update(enter)
 
     def set_splits(self, splits: Splits) -> None:
-        """Replace the splits. Every name must be a scene, and in one split only."""
+        """Replace the splits; `UsageError` unless every name is a scene, and in one split only."""
         names = [*splits.train, *splits.validation, *splits.test]
         for name in names:
             if name not in self.file.scenes:
@@ -221,29 +221,29 @@ class Dataset:
         self._update(lambda file: file.model_copy(update={"splits": splits}))
 
     def variants(self, artifact: type[Artifact]) -> dict[str, Variant]:
-        """The variants of a kind; `main` is always there, and of other kinds the only one."""
+        """The variants of a kind, always including `main`, which is the only one of kinds without variants."""
         main = {"main": Variant()}
         return {**main, **self.file.variants.get(artifact.kind, {})} if artifact.has_variants else main
 
     def recover(self) -> None:
-        """Clear away what a killed process left."""
+        """Remove what killed processes left behind."""
         recover(self.root)
 
     def _update(self, change: Any) -> None:
         (self.root / SCRATCH).mkdir(exist_ok=True)
         with FileLock(self.root / SCRATCH / "dataset.lock"):
-            # Another process may have changed it since it was read here; if none has, it need not be checked again.
+            # Another process may have changed the file since it was read; otherwise it need not be validated again.
             is_known = (self.root / DATASET).read_bytes() == self._text
             current = self.file if is_known else Dataset(self.root).file
             changed = change(current)
             if changed != current:
-                # What `json.dumps` gives in eight times the time; every scene that comes has it written anew.
+                # The same text as from `json.dumps`, eight times faster; it is rewritten for every added scene.
                 write_text_atomically(self.root / DATASET, changed.model_dump_json(indent=2) + "\n")
             self.file, self._text = changed, (self.root / DATASET).read_bytes()
 
 
 def artifact_place(artifact: type[Artifact], item: str = "", variant: str = "main") -> str:
-    """Where an artifact lies below its dataset's directory, with forward slashes. Nothing is read."""
+    """Path of an artifact relative to its dataset, with forward slashes. Nothing is read."""
     parts = [artifact.kind]
     if artifact.has_variants:
         parts.append(variant)
@@ -253,7 +253,7 @@ def artifact_place(artifact: type[Artifact], item: str = "", variant: str = "mai
 
 
 def write_groups_above(root: Path, artifact: type[Artifact], variant: str = "main") -> None:
-    """Make the groups above an artifact where there are none, so that any Zarr reader finds its way down."""
+    """Create missing groups above an artifact, so that any Zarr reader can find it."""
     parents = [root, root / artifact.kind]
     if artifact.has_variants and artifact.scope != "dataset":
         parents.append(root / artifact.kind / variant)
@@ -263,7 +263,7 @@ def write_groups_above(root: Path, artifact: type[Artifact], variant: str = "mai
 
 
 def check_name(name: str, where: Path) -> None:
-    """Refuse names that would not be one plain directory; `UsageError`."""
+    """`UsageError` for a name that is not a single plain directory."""
     if not _NAME.fullmatch(name):
         raise UsageError(
             where,

@@ -1,8 +1,8 @@
 """DVC: `dvc.yaml` and `params.yaml`, rendered from the declared stages and the dataset's items.
 
-DVC takes no wildcards, so every item has its own stage. It does not see Python code, so the stage's version stands in
-the command. Splits are tracked as a parameter, not `dataset.json` as a dependency: adding a scene must not make the
-other scenes stale.
+DVC has no wildcards, so every item has its own DVC stage. It does not see Python code, so a stage's version is part of
+its command. Splits are tracked as a parameter, and `dataset.json` is not a dependency: adding a scene must not make
+the other scenes stale.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ _PARAMS_HEADER = "# Parameters of every stage. A section `stage@name` holds what
 
 @dataclass(frozen=True)
 class DvcFiles:
-    """The files that DVC reads, as rendered.
+    """The files for DVC, as rendered.
 
     Args:
-        root: the dataset's directory, where they belong.
+        root: the dataset's directory.
         texts: content by file name.
-        changed: names of those that are missing on disk or differ.
+        changed: names of the files that are missing on disk or differ.
     """
 
     root: Path
@@ -64,7 +64,7 @@ def compared_files(dataset: Dataset, stages: Sequence[Stage], config: Config) ->
 
 
 def written_files(dataset: Dataset, stages: Sequence[Stage], config: Config) -> DvcFiles:
-    """The rendered files, with those that differed now on disk, and the groups above artifacts, which Git keeps."""
+    """The rendered files, after writing those that differ and creating the groups above artifacts, for Git."""
     files = compared_files(dataset, stages, config)
     for name in files.changed:
         write_text_atomically(dataset.root / name, files.texts[name])
@@ -79,7 +79,7 @@ def _holds(file: Path, text: str) -> bool:
 
 
 def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[str, str]:
-    """File name to content for the dataset's directory: dvc.yaml, params.yaml and .gitignore."""
+    """Content by file name of dvc.yaml, params.yaml and .gitignore in the dataset's directory."""
     import yaml
 
     stages = list(stages)
@@ -102,7 +102,7 @@ def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[st
 
 
 def _with_requested(dataset: Dataset, stages: Iterable[Stage], config: Config) -> Config:
-    """The configuration over what is recorded: params.yaml states every parameter, and goes over both from then on."""
+    """The configuration over the recorded parameters: params.yaml states every parameter, and overrides both later."""
     requested = read_requested(dataset.root)
     laid: Config = {}
     for stage in stages:
@@ -112,7 +112,7 @@ def _with_requested(dataset: Dataset, stages: Iterable[Stage], config: Config) -
 
 
 def _gitignore(file: Path) -> str:
-    """What is there, and the artifacts, which are DVC's. Git keeps the groups above them, so that a clone opens."""
+    """The existing lines, and the artifacts, which DVC tracks. Git tracks the groups above them, so a clone opens."""
     lines = file.read_text().splitlines() if file.exists() else []
     wanted = ["/.scratch/", "/provenance/", "/runs/", "/report.html"]
     for kind in KINDS:
@@ -122,7 +122,7 @@ def _gitignore(file: Path) -> str:
 
 
 def params_text(stages: Iterable[Stage], config: Config) -> str:
-    """Every parameter of every stage with its value and, as a comment, its meaning."""
+    """YAML with every parameter of every stage, its value and, as a comment, its description."""
     lines = [_PARAMS_HEADER]
     for stage in stages:
         values = resolve(stage, {stage.name: config.get(stage.name, {})}, "", "main", {}).model_dump(mode="json")
@@ -140,7 +140,7 @@ def params_text(stages: Iterable[Stage], config: Config) -> str:
 
 
 def _yaml_value(value: Any) -> str:
-    """A value on one line. JSON is YAML but for floats such as 1e-05, which YAML 1.1 reads as text without a point."""
+    """A value on one line: JSON, except for floats such as 1e-05, which YAML 1.1 reads as text without a point."""
     text = json.dumps(value, ensure_ascii=False)
     if isinstance(value, float) and "e" in text and "." not in text:
         mantissa, exponent = text.split("e")
@@ -164,7 +164,7 @@ def _ingest(kind: str, item: str, source: Source) -> dict[str, Any]:
 
 
 def _option(name: str, value: Any) -> str:
-    """A value as the command line takes it."""
+    """An option with its value, for the command line."""
     flag = name.replace("_", "-")
     if isinstance(value, bool):
         return f"--{flag}" if value else f"--no-{flag}"

@@ -1,4 +1,4 @@
-"""What can go wrong through no fault of ours, and the exit code that tells a script which it was."""
+"""Errors caused by users, files or machines, each with an exit code for scripts."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from types import ModuleType
 
 
 class BaskError(Exception):
-    """Something a user, a file or a machine got wrong. Printed without a traceback.
+    """An error caused by a user, a file or a machine; printed without a traceback.
 
-    The message reads `where: field: expected ..., got ....  fix: ...`; every part but `where` may be left out.
+    The message has the form `where: field: expected ..., got ....  fix: ...`; every part but `where` is optional.
     """
 
     exit_code = 1
@@ -33,7 +33,7 @@ class BaskError(Exception):
 
     @property
     def fault(self) -> str:
-        """The message without the way to mend it."""
+        """The message without the fix."""
         parts = [self.where] if self.where else []
         if self.field:
             parts.append(self.field)
@@ -59,7 +59,7 @@ def _rebuild(cls: type[BaskError], where: str, field: str, expected: str, got: s
 
 
 class UsageError(BaskError):
-    """The command line or a configuration asks for something that does not exist."""
+    """The command line or a configuration requests something that does not exist or is not allowed."""
 
     exit_code = 2
 
@@ -71,7 +71,7 @@ class WouldOverwrite(BaskError):
 
 
 class BadData(BaskError):
-    """A file does not hold what it should."""
+    """A file has invalid content."""
 
     exit_code = 4
 
@@ -83,15 +83,15 @@ class MissingDependency(BaskError):
 
 
 def imported(module: str, what: str, *, user: str, extra: str) -> ModuleType:
-    """A module of a package that not everybody needs.
+    """A module of an optional package.
 
     Args:
-        what: the package as people call it, or what it is.
-        user: the command or option that cannot do without.
-        extra: of ours that brings it.
+        what: common name or description of the package.
+        user: the command or option that needs it.
+        extra: the extra of `bask-data` that installs it.
 
     Raises:
-        MissingDependency: it, or a package that it needs itself, is not installed.
+        MissingDependency: the package, or one of its own dependencies, is not installed.
     """
     try:
         return import_module(module)

@@ -1,4 +1,4 @@
-"""The base of every set of parameters: a stage's, or a format's options."""
+"""Base of all sets of parameters: those of stages, and the options of formats."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 _MOST_SHOWN = 80
-"""Characters of what came: enough to find it again."""
+"""Characters shown of a refused value: enough to recognise it."""
 
 _WORDY = re.compile(r"^(Input should (be )?|Value error, )|, (unable|got) .*$|\bvalid ")
 _TYPES = {
@@ -25,7 +25,7 @@ _TYPES = {
     "string": "text",
     "tuple": "a list",
 }
-"""What pydantic's names of types, with which its codes of errors begin, mean to a person."""
+"""Plain words for pydantic's type names, which begin its error codes."""
 
 _PLAIN = {
     "extra_forbidden": "no field of that name",
@@ -37,33 +37,33 @@ _PLAIN = {
     "model_attributes_type": "values by name",
     "none_required": "nothing",
 }
-"""By pydantic's code of an error, where its own words would not do."""
+"""Plain words by pydantic's error code, where its message is not usable."""
 
 _OF_TYPE = re.compile(rf"({'|'.join(_TYPES)})_(type|parsing|parsing_size)")
 
 
 class Params(BaseModel):
-    """Immutable, and strict about names: a misspelt parameter is an error, never a default.
+    """Immutable parameters with strict names: a misspelt parameter is an error, never a default.
 
-    Each field's `description` becomes the `--help` of its option. Only what changes the result belongs here: jobs,
-    device and batch size of inference are no params, because they would make the same result look different.
+    Each field's `description` is the `--help` of its option. Only what changes the result belongs here: jobs, device
+    and inference batch size are not parameters, as they would give equal results different keys.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     def reads(self, kind: str) -> tuple[str, ...] | None:
-        """Items whose artifacts of a kind these parameters need, for a stage that may do without some; None: all.
+        """Names of the items whose artifacts of a kind are needed with these parameters; None for all.
 
-        What is not read is no part of the key and need not be there. It is left out of the list that a stage gathers; a
-        single input, declared `Kind | None`, is None where this gives ().
+        Other artifacts are not part of the key and need not exist. They are left out of the list that a stage gathers;
+        a single input, declared `Kind | None`, is None if this returns ().
         """
         return None
 
 
 def first_fault(error: ValidationError) -> tuple[str, str, str]:
-    """The first thing that is wrong: its field, what was expected there in plain words, and what came."""
+    """The first error: its field, what was expected in plain words, and the value that was given."""
     fault = error.errors()[0]
-    # What came for a missing value is the whole that lacks it, which is no answer.
+    # For a missing value pydantic gives the whole model as input.
     came = "none" if fault["type"] == "missing" else _as_came(fault["input"])
     return ".".join(map(str, fault["loc"])), _expected(fault["type"], fault["msg"], fault.get("ctx", {})), came
 
@@ -82,5 +82,5 @@ def _expected(code: str, message: str, context: Mapping[str, Any]) -> str:
 
 
 def _as_came(value: Any) -> str:
-    """A value as it was typed or written: text in quotes, so that an empty or a blank one is seen."""
+    """A value as given: text in quotes, so that empty or blank text is visible."""
     return f"'{value[:_MOST_SHOWN]}'" if isinstance(value, str) else json.dumps(value, default=str)[:_MOST_SHOWN]

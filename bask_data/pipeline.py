@@ -1,4 +1,4 @@
-"""All stages, in the order in which each finds its inputs made."""
+"""All stages, ordered so that inputs are made first."""
 
 from __future__ import annotations
 

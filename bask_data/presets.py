@@ -1,7 +1,7 @@
-"""Named sets of parameters: how published keypoints were learned and tracked, and the default for a laptop.
+"""Presets: named sets of parameters of published methods, and the default for a laptop.
 
-A preset sets the fields below, and no others. Where the paper of Bayesian scene keypoints (von Hartz et al. 2023, cited
-by section) leaves a setting open, that of its public code is taken; docs/presets.md has them side by side.
+A preset sets the fields below, and no others. Settings that the paper on Bayesian scene keypoints (von Hartz et al.
+2023, cited by section) leaves open are those of its public code; docs/presets.md compares them.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ _BASK: dict[str, Any] = {
 PRESETS: dict[PresetName, dict[str, dict[str, Any]]] = {
     # The defaults of the parameters themselves.
     "tabletop": {},
-    # Eq. 1 has the hinge on the squared distance; III-A.3: several scales, full rotation, crops of random size down to
-    # half of the image, with blank around them.
+    # Eq. 1 applies the hinge to the squared distance; III-A.3: several scales, full rotation, crops of random size down
+    # to half of the image, padded with blank pixels.
     "bask": {
         "train": {
             **_BASK,
@@ -57,8 +57,8 @@ PRESETS: dict[PresetName, dict[str, dict[str, Any]]] = {
         },
         "encode": {"filter": "particle", "settings": "paper"},
     },
-    # Squares the hinge of the distance and divides by the hard negatives; crops are resized back, nothing is turned,
-    # and three of ten pairs have a further object pasted in.
+    # The code squares the hinge of the distance and divides by the number of hard negatives; it resizes crops to the
+    # image's size, does not rotate, and pastes a further object into three of ten pairs.
     "bask-code": {
         "train": {
             **_BASK,
@@ -92,14 +92,14 @@ PRESETS: dict[PresetName, dict[str, dict[str, Any]]] = {
             "steps": 3500,
             "decay_every": 250,
         },
-        # Each frame by itself.
+        # Every frame on its own, without a filter.
         "encode": {"filter": "expectation", "settings": "default"},
     },
 }
 
 
 def preset(name: PresetName, stages: Iterable[Stage]) -> Config:
-    """Every field that any preset sets, with this one's value or the default: no trace of another one is left."""
+    """Every field that any preset sets, with this preset's value or the default, so that no other one has an effect."""
     defaults = {stage.name: stage.params().model_dump() for stage in stages}
     chosen = PRESETS[name]
     fields: dict[str, list[str]] = {}

@@ -1,4 +1,4 @@
-"""Progress of long loops, told to whoever listens."""
+"""Progress of long loops, reported to listeners."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ T = TypeVar("T")
 Listener = Callable[[str, int, int | None], None]
 """Called with (label, done, total); total is None when it is not known."""
 
-Hearer = Callable[[str], None]
-"""Called with a line for a person."""
+NoteListener = Callable[[str], None]
+"""Called with a line of text."""
 
 _listener: Listener | None = None
-_hearer: Hearer | None = None
+_note_listener: NoteListener | None = None
 _thread = threading.local()
 
 
-def listen(listener: Listener | None, hearer: Hearer | None = None) -> None:
-    """Send the progress of this process to `listener` and what it tells to `hearer`, or to nobody."""
-    global _listener, _hearer
-    _listener, _hearer = listener, hearer
+def listen(listener: Listener | None, note_listener: NoteListener | None = None) -> None:
+    """Send the progress of this process to `listener` and its notes to `note_listener`; None for neither."""
+    global _listener, _note_listener
+    _listener, _note_listener = listener, note_listener
 
 
 @contextmanager
 def listened_by(listener: Listener) -> Iterator[None]:
-    """Send the progress of this thread to `listener` as well; an exception it raises ends the loop that reports."""
+    """Also send the progress of this thread to `listener`, whose exceptions end the reporting loop."""
     before = getattr(_thread, "listeners", ())
     _thread.listeners = (*before, listener)
     try:
@@ -36,14 +36,14 @@ def listened_by(listener: Listener) -> Iterator[None]:
         _thread.listeners = before
 
 
-def tell(text: str) -> None:
-    """Tell what is worth knowing before a loop has ended."""
-    if _hearer is not None:
-        _hearer(text)
+def note(text: str) -> None:
+    """Report something worth knowing before a loop has ended."""
+    if _note_listener is not None:
+        _note_listener(text)
 
 
 def report(label: str, done: int, total: int | None) -> None:
-    """Tell that `done` of `total` steps are done."""
+    """Report that `done` of `total` steps are done."""
     if _listener is not None:
         _listener(label, done, total)
     for listener in getattr(_thread, "listeners", ()):
@@ -51,7 +51,7 @@ def report(label: str, done: int, total: int | None) -> None:
 
 
 def progress(items: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
-    """The same items, telling how far the loop is."""
+    """The same items, with progress reported after each."""
     if total is None and hasattr(items, "__len__"):
         total = len(items)  # type: ignore[arg-type]
     report(label, 0, total)
@@ -61,7 +61,7 @@ def progress(items: Iterable[T], label: str, total: int | None = None) -> Iterat
 
 
 class Steps:
-    """Progress of several loops that are one piece of work, counted in steps that take about as long."""
+    """Progress of several loops as one, counted in steps of about equal duration."""
 
     def __init__(self, label: str, total: int) -> None:
         """Report that none of `total` steps is done."""
@@ -69,12 +69,12 @@ class Steps:
         report(label, 0, total)
 
     def over(self, items: Iterable[T], weight: int = 1) -> Iterator[T]:
-        """The same items, each of which is `weight` steps when the next is asked for."""
+        """The same items; each counts as `weight` steps once the next is requested."""
         for item in items:
             yield item
             self.reach(self._done + weight)
 
     def reach(self, done: int) -> None:
-        """Report that `done` steps are done: also what was left out counts."""
+        """Report that `done` steps are done, including skipped ones."""
         self._done = min(done, self._total)
         report(self._label, self._done, self._total)

@@ -15,7 +15,7 @@ FOLDER = Path(__file__).parent.parent / "schemas"
 
 
 def schema_of(kind: type[Artifact]) -> dict[str, Any]:
-    """What an artifact of a kind holds: metadata as JSON Schema, arrays, tables and further files in words."""
+    """Schema of a kind: metadata as JSON Schema, arrays, tables, and further files in words."""
     return {
         "kind": kind.kind,
         "schema": kind.schema_version,
@@ -43,7 +43,7 @@ def schema_of(kind: type[Artifact]) -> dict[str, Any]:
 
 
 def render() -> dict[str, str]:
-    """File name to content for the folder `schemas/`."""
+    """Content by file name of the folder `schemas/`."""
     documents: dict[str, Any] = {f"{kind.kind}.v{kind.schema_version}.json": schema_of(kind) for kind in KINDS}
     documents["dataset.v1.json"] = DatasetFile.model_json_schema()
     documents["artifact.v1.json"] = Manifest.model_json_schema()
@@ -51,14 +51,14 @@ def render() -> dict[str, str]:
 
 
 def differences() -> list[str]:
-    """Names of files in `schemas/` that are not what the code renders."""
+    """Names of files in `schemas/` that differ from what the code renders."""
     rendered = render()
     on_disk = {file.name: file.read_text() for file in FOLDER.glob("*.json")}
     return sorted(name for name in rendered.keys() | on_disk.keys() if rendered.get(name) != on_disk.get(name))
 
 
 def main() -> None:
-    """Write the folder, or with `--check` only say what differs."""
+    """Write the folder, or with `--check` only print what differs."""
     if "--check" in sys.argv[1:]:
         changed = differences()
         if changed:

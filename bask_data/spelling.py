@@ -1,4 +1,4 @@
-"""What a misspelt name most likely meant."""
+"""Suggestions for misspelt names."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from difflib import get_close_matches
 
 
 def suggestion(name: str, choices: Iterable[str]) -> str:
-    """`did you mean X?` for the nearest of the names that exist; empty if none is near.
+    """`did you mean X?` for the most similar existing name; empty if none is similar.
 
-    Letters' case, `-` and `_` do not count: `--voxel_size` is near `--voxel-size`.
+    Case does not matter, nor does `-` or `_`: `--voxel_size` matches `--voxel-size`.
     """
-    spelt = {_plain(choice): choice for choice in choices}
-    near = get_close_matches(_plain(name), spelt, n=1, cutoff=0.6)
-    return f"did you mean {spelt[near[0]]}?" if near else ""
+    by_spelling = {_plain(choice): choice for choice in choices}
+    near = get_close_matches(_plain(name), by_spelling, n=1, cutoff=0.6)
+    return f"did you mean {by_spelling[near[0]]}?" if near else ""
 
 
 def _plain(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Validation: every file against its SHA-256, every array and table against its schema."""
+"""Validation: files are checked against their SHA-256, arrays and tables against their schema."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from bask_data.progress import progress
 
 @dataclass(frozen=True)
 class Problem:
-    """Something that is not as it should be; `fix` is a command or an action."""
+    """A problem of a dataset; `fix` is a command or an action."""
 
     where: str
     what: str
@@ -38,18 +38,18 @@ class Problem:
 
 
 def artifacts_on_disk(dataset: Dataset) -> list[Artifact]:
-    """Every artifact the dataset lists and that exists, in the order of the kinds."""
-    found: list[Artifact] = []
+    """Every artifact that is listed in the dataset and exists, in the order of the kinds."""
+    artifacts: list[Artifact] = []
     for kind in KINDS:
         items = dataset.items(kind.scope) if kind.scope != "dataset" else [""]
         for variant in dataset.variants(kind):
             paths = [dataset.path(kind, item, variant) for item in items]
-            found += [kind(path) for path in paths if path.exists()]
-    return found
+            artifacts += [kind(path) for path in paths if path.exists()]
+    return artifacts
 
 
 def validate(dataset: Dataset) -> list[Problem]:
-    """All problems of a dataset; none means that it is whole."""
+    """All problems of a dataset; empty if it is valid."""
     problems = list(_missing_recordings(dataset))
     for artifact in progress(artifacts_on_disk(dataset), "validating"):
         try:
@@ -71,7 +71,7 @@ def _missing_recordings(dataset: Dataset) -> Iterator[Problem]:
 
 
 def _files(artifact: Artifact, root: Path) -> Iterator[Problem]:
-    """Files missing, changed, or unknown to the manifest."""
+    """Files that are missing, changed, or not in the manifest."""
     manifest = read_manifest(artifact.path)
     where = _relative(artifact.path, root)
     present = dict(list_files(artifact.path))
@@ -88,7 +88,7 @@ def _files(artifact: Artifact, root: Path) -> Iterator[Problem]:
                 REMAKE,
             )
     if content_digest(manifest.files) != manifest.digest:
-        yield Problem(f"{where}/{MANIFEST}", "digest: does not follow from the list of files.", REMAKE)
+        yield Problem(f"{where}/{MANIFEST}", "digest: does not match the list of files.", REMAKE)
     if manifest.kind != artifact.kind or manifest.schema_version != artifact.schema_version:
         got = f"{manifest.kind} v{manifest.schema_version}"
         expected = f"{artifact.kind} v{artifact.schema_version}"
@@ -96,7 +96,7 @@ def _files(artifact: Artifact, root: Path) -> Iterator[Problem]:
 
 
 def _schema(artifact: Artifact, root: Path) -> Iterator[Problem]:
-    """Arrays and tables that are not as the kind's schema says."""
+    """Arrays and tables that do not match the kind's schema."""
     where = _relative(artifact.path, root)
     artifact.metadata  # noqa: B018  # Reading it checks it.
     sizes: dict[tuple[str, str], tuple[int, str]] = {}
@@ -105,7 +105,7 @@ def _schema(artifact: Artifact, root: Path) -> Iterator[Problem]:
         try:
             spec = spec_of(type(artifact), name)
         except KeyError:
-            yield Problem(f"{where}/{name}", "an array that the schema does not know.", REMAKE)
+            yield Problem(f"{where}/{name}", "not an array of the schema.", REMAKE)
             continue
         seen.add(name)
         shape, dtype = document.get("shape", []), document.get("data_type")
@@ -133,12 +133,12 @@ def _schema(artifact: Artifact, root: Path) -> Iterator[Problem]:
             names = [pattern.replace("{camera}", camera) for camera in artifact.camera_names]
         for name in names:
             if name not in seen and not spec.optional:
-                yield Problem(f"{where}/{name}", "missing: the schema asks for it.", REMAKE)
+                yield Problem(f"{where}/{name}", "missing: required by the schema.", REMAKE)
     for name in artifact.tables:
         yield from _table(artifact, name, where)
     for name in artifact.files:
         if not (artifact.path / name).exists():
-            yield Problem(f"{where}/{name}", "missing: the schema asks for it.", REMAKE)
+            yield Problem(f"{where}/{name}", "missing: required by the schema.", REMAKE)
 
 
 def _table(artifact: Artifact, name: str, where: str) -> Iterator[Problem]:
@@ -166,7 +166,7 @@ def _array_documents(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _unlisted(dataset: Dataset) -> Iterator[Problem]:
-    """Directories of kinds that `dataset.json` does not list: `status` and `run` would never look at them."""
+    """Directories that `dataset.json` does not list, which `status` and `run` would ignore."""
     for kind in KINDS:
         if kind.scope == "dataset":
             continue
@@ -191,5 +191,5 @@ def _relative(path: Path, root: Path) -> str:
 
 
 def total_bytes(files: dict[str, FileEntry]) -> int:
-    """Size of an artifact's files in bytes."""
+    """Total size of an artifact's files, bytes."""
     return sum(entry.bytes for entry in files.values())

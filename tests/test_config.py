@@ -49,7 +49,7 @@ def test_unknown_names_are_refused_with_the_choices(tmp_path: Path, text: str, m
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("- 1", "expected sections named like stages, got list"),
+        ("- 1", "expected a section per stage, got list"),
         ("fuse: 1", "fuse: expected parameters by name, got 1"),
         ("a: [", "expected YAML"),
         ("!!python/object/apply:os.system ['touch ran']", "expected YAML, got could not determine a constructor"),
@@ -153,12 +153,12 @@ def test_a_section_is_taken_back_if_what_it_is_for_fails(tmp_path: Path, text: s
 
 def test_a_file_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     (tmp_path / "no_folder").write_text("")
-    with pytest.raises(BadData, match="expected a file that can be written, got .*no_folder"):
+    with pytest.raises(BadData, match="expected a writable file, got .*no_folder"):
         write_section(tmp_path / "no_folder" / "params.yaml", "pick", {"n": 3})
 
 
 def test_a_file_that_is_none_of_ours_is_left_alone(tmp_path: Path) -> None:
     file = written(tmp_path, "- a\n")
-    with pytest.raises(BadData, match="expected sections named like stages, got list"):
+    with pytest.raises(BadData, match="expected a section per stage, got list"):
         write_section(file, "pick", {})
     assert file.read_text() == "- a\n"

@@ -74,7 +74,7 @@ def test_unknown_field_in_the_dataset_file_is_named(tmp_path: Path) -> None:
 def test_a_name_is_a_scene_or_a_demonstration(tmp_path: Path) -> None:
     dataset = Dataset.create(tmp_path)
     dataset.add("scene", "a", SOURCE)
-    with pytest.raises(UsageError, match="got the name of the other sort of recording"):
+    with pytest.raises(UsageError, match="a: expected a demonstration, got the name of a scene"):
         dataset.add("demonstration", "a", SOURCE)
 
 

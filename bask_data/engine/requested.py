@@ -22,7 +22,7 @@ from bask_data.engine.declare import Stage
 from bask_data.engine.sections import Config, laid_over, of_stage, within
 from bask_data.errors import BadData
 from bask_data.params import first_fault
-from bask_data.progress import tell
+from bask_data.progress import note
 
 REQUESTED = "requested.json"
 _RESTORE = "restore the file, or delete it and give the parameters again."
@@ -128,7 +128,7 @@ def record_requested(
                 write_json_atomically(dataset.root / REQUESTED, changed.model_dump(mode="json"))
     except OSError as error:
         # The artifact is valid all the same, and a user without write access knows the parameters.
-        tell(f"{stage.name}: {REQUESTED} cannot be written, so the dataset does not keep these parameters: {error}")
+        note(f"{stage.name}: {REQUESTED} cannot be written, so the dataset does not keep these parameters: {error}")
 
 
 def _recorded(own: Config, dataset: Dataset, stage: Stage, request: RunRequest, items: Sequence[str] | None) -> Config:

@@ -14,7 +14,7 @@ from bask_data.engine.group import processes
 from bask_data.engine.state import state_of
 from bask_data.engine.tasks import Task
 from bask_data.errors import UsageError
-from bask_data.progress import tell
+from bask_data.progress import note
 
 
 def filled_resumable(task: Task, key: str, fill: Callable[[Path], Manifest], force: bool) -> Manifest:
@@ -53,5 +53,5 @@ def _acquired(lock: FileLock, task: Task) -> AbstractContextManager[object]:
     try:
         return lock.acquire()
     except Timeout:
-        tell(f"{task.label}: waiting for another process that is making it")
+        note(f"{task.label}: waiting for another process that is making it")
         return lock.acquire(timeout=-1)

@@ -19,7 +19,7 @@ from bask_data.core.filters.table import DEFAULT, FILTERS, FilterSettings, Setti
 from bask_data.engine import Params, progress, stage
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Camera, Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Truth
-from bask_data.progress import tell
+from bask_data.progress import note
 
 if TYPE_CHECKING:
     import numpy as np
@@ -254,7 +254,7 @@ def _track(
                 pass
     (out / STATE).unlink(missing_ok=True)
     n_done, seconds = n_frames - begin, time.monotonic() - begun
-    tell(f"{n_done} frames of {len(cameras)} cameras in {seconds:.1f} s, {n_done / max(seconds, 1e-9):.1f} a second")
+    note(f"{n_done} frames of {len(cameras)} cameras in {seconds:.1f} s, {n_done / max(seconds, 1e-9):.1f} a second")
 
 
 def _resumed(tracker: KeypointTracker, out: Path) -> int:

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from bask_data.artifact import write_json_atomically
-from bask_data.progress import tell
+from bask_data.progress import note
 
 SPEED = ("images_per_second", "share_waited", "gpu_memory_bytes")
 
@@ -50,7 +50,7 @@ class RunLog:
         if validated:
             self._writer.flush()
             shown = {"loss": values["loss"], **validated}
-            tell(f"step {step}/{self._n_steps}: " + ", ".join(f"{name} {value:.3g}" for name, value in shown.items()))
+            note(f"step {step}/{self._n_steps}: " + ", ".join(f"{name} {value:.3g}" for name, value in shown.items()))
 
     def close(self, device: str, n_processes: int) -> None:
         """Write what it cost since it was begun or resumed."""

@@ -12,7 +12,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from bask_data.engine import Params, Splits, processes, progress, stage
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Correspondences, DescriptorNet, Scan, VisibleMasks
-from bask_data.progress import tell
+from bask_data.progress import note
 from bask_data.stages.pairs import ScanPairs, divided
 from bask_data.stages.runs import RunLog
 
@@ -227,7 +227,7 @@ def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Pat
         remove_all_but_state(out)
     # Each of a group looks for itself, and finds the same: a damaged one, or none any more.
     if remove_damaged_state(out) and group.is_first:
-        tell("the state that an interrupted training saved is damaged: trained from the beginning")
+        note("the state that an interrupted training saved is damaged: trained from the beginning")
     network = _network(params).to(best_device())
     learned, held_out, validated_on, share = divided(scans, splits, params.held_out)
     if params.patience is not None and not held_out.n_pairs:

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from bask_data.cli.console import say, shown_progress
-from bask_data.progress import progress, tell
+from bask_data.progress import note, progress
 
 
 def test_escape_sequences_from_strangers_never_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
@@ -20,7 +20,7 @@ def test_what_is_told_during_a_loop_is_seen_at_once(
     monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
     with shown_progress():
         for i in progress(range(3), "training"):
-            tell(f"step {i}: [loss] \x1b[31m0.5")
+            note(f"step {i}: [loss] \x1b[31m0.5")
             assert f"  ...         step {i}: [loss] 0.5\n" in capsys.readouterr().err
-    tell("nobody listens")
+    note("nobody listens")
     assert "nobody" not in capsys.readouterr().err
