@@ -1,4 +1,4 @@
-"""The quantities that every frame of an export has, whatever the format: names, units and values."""
+"""Columns of an export, common to all formats: names, units and values of each frame."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ if TYPE_CHECKING:
 
 CONVENTIONS = {
     "units": "SI: metres, seconds, radians, unless a column says otherwise.",
-    "world": "Positions are in the world frame of the demonstration, the one its cameras and gripper are posed in.",
+    "world": "Positions are in the demonstration's world frame, to which the poses of cameras and gripper refer.",
     "keypoints": "Mean of the filter's belief after the frame; x, y, z of the first keypoint, then of the second. "
-    "Where a keypoint is not localised, its last place is kept (before the first, the first one).",
-    "spread": "Square root of the trace of the belief's covariance: how far, in the mean square, the keypoint may be "
-    "from its mean. Noise that was added is not in it.",
+    "A keypoint that is not localised keeps its last localised position (or has its first one before that).",
+    "spread": "Square root of the trace of the belief's covariance: root mean square distance of the keypoint from its "
+    "mean. Added noise is not included.",
     "gripper_rotation": "First and second column of the rotation in world_from_gripper: the gripper's x and y axes in "
     "the world. The third is their cross product.",
-    "action": "As recorded, in the same frame as the observations it was chosen at.",
-    "frames": "Frames of all cameras, robot and keypoints belong together by number.",
+    "action": "As recorded, in the frame of the observation for which it was chosen.",
+    "frames": "Frames of all cameras, the robot and the keypoints correspond by number.",
 }
+"""Conventions of all formats, written into every export."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A quantity that every frame has.
+    """A quantity of every frame.
 
     Args:
-        values: names of its values in their order; none for a single number.
+        values: names of its values in their order; empty for a scalar.
     """
 
     name: str
@@ -41,31 +42,31 @@ class Column:
 
     @property
     def width(self) -> int:
-        """How many numbers a frame has of it."""
+        """Number of values per frame."""
         return len(self.values) or 1
 
 
 STATE = ("keypoints", "spread", "gripper_position", "gripper_rotation", "gripper_width")
-"""Columns that make up a policy's observation, in its order."""
+"""Columns of a policy's observation, in order."""
 
 
 def columns_of(demonstration: Demonstration, track: KeypointTrack) -> list[Column]:
-    """What every frame of a demonstration has: of its keypoints, and of its robot where one was recorded."""
+    """Columns of a demonstration: its keypoints, and its robot if recorded."""
     group, names = demonstration.group, track.names
     coordinates = tuple(f"{keypoint}.{axis}" for keypoint in names for axis in "xyz")
     axes = tuple(f"gripper.{axis}_{of}" for axis in ("x_axis", "y_axis") for of in "xyz")
-    here, each = "Whether a camera more likely than not sees the keypoint in this frame.", tuple(names)
+    each = tuple(names)
     columns = [
         Column("time", (), "float64", "Time of the frame, as recorded.", "second"),
-        Column("keypoints", coordinates, "float32", "Positions of the keypoints in the world.", "metre"),
+        Column("keypoints", coordinates, "float32", "Positions of the keypoints in the world frame.", "metre"),
         Column("spread", tuple(f"{n}.spread" for n in names), "float32", CONVENTIONS["spread"], "metre"),
-        Column("observed", each, "bool", here),
-        Column("localised", each, "bool", "Whether the keypoint's position is of this frame, not of another."),
+        Column("observed", each, "bool", "Whether any camera more likely than not sees the keypoint in this frame."),
+        Column("localised", each, "bool", "Whether the keypoint's position is of this frame, not kept from another."),
     ]
     if "robot/world_from_gripper" in group:
-        places = tuple(f"gripper.{axis}" for axis in "xyz")
+        positions = tuple(f"gripper.{axis}" for axis in "xyz")
         columns += [
-            Column("gripper_position", places, "float32", "Origin of the gripper in the world.", "metre"),
+            Column("gripper_position", positions, "float32", "Origin of the gripper in the world frame.", "metre"),
             Column("gripper_rotation", axes, "float32", CONVENTIONS["gripper_rotation"]),
         ]
     if "robot/gripper_width" in group:
@@ -73,12 +74,12 @@ def columns_of(demonstration: Demonstration, track: KeypointTrack) -> list[Colum
     if "robot/action" in group:
         n_actions = group["robot/action"].shape[1]  # type: ignore[union-attr]
         named = tuple(demonstration.metadata.action_names) or tuple(f"action_{i}" for i in range(n_actions))
-        columns.append(Column("action", named, "float32", "What was commanded; units as recorded."))
+        columns.append(Column("action", named, "float32", "Commanded action; units as recorded."))
     return columns
 
 
 def robot_values(demonstration: Demonstration) -> dict[str, np.ndarray]:
-    """What the robot reported, by the names of the columns; (t, ...) each."""
+    """The robot's states and actions, (t, ...) each, by column name."""
     robot = demonstration.robot
     values: dict[str, np.ndarray] = {}
     if robot is None:
@@ -95,13 +96,14 @@ def robot_values(demonstration: Demonstration) -> dict[str, np.ndarray]:
 
 
 def checked(values: np.ndarray, column: Column, demonstration: Demonstration, n_frames: int) -> np.ndarray:
-    """A column as it is written, every number of it finite and every frame there."""
+    """A column's values (t, width) or (t,) in its type; `BadData` for missing frames or values that are not finite."""
     import numpy as np
 
     if len(values) != n_frames:
         expected = f"{n_frames} frames, as the cameras have"
         raise BadData(demonstration.path, column.name, expected=expected, got=len(values), fix="ingest it again.")
     if not np.isfinite(values).all():
-        raise BadData(demonstration.path, column.name, expected="finite numbers", got="NaN or infinity")
+        fix = "ingest a complete recording, or leave the demonstration out with --only."
+        raise BadData(demonstration.path, column.name, expected="finite numbers", got="NaN or infinity", fix=fix)
     shape = (n_frames, column.width) if column.values else (n_frames,)
     return np.ascontiguousarray(values.reshape(shape), dtype=column.dtype)

@@ -1,4 +1,4 @@
-"""What an export says of itself: the document that every format writes beside its numbers, and by which it is known."""
+"""The document that describes an export; every format includes it, and exports are recognised by it."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from bask_data.artifact import read_json
 from bask_data.errors import BadData
 
 DESCRIPTION = "bask.json"
-"""File in an exported folder that says what its numbers mean."""
+"""File with the description in an exported folder."""
 
 
 def write_description(folder: Path, described: dict[str, Any]) -> None:
-    """Say in an exported folder what its numbers mean."""
+    """Write the description into an exported folder."""
     (folder / DESCRIPTION).write_text(json.dumps(described, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def read_description(folder: Path) -> object:
-    """The document in a folder; None where there is none, or none that can be read."""
+    """The description in a folder; None if it is missing or unreadable."""
     file = folder / DESCRIPTION
     with suppress(BadData):
         return read_json(file) if file.is_file() else None

@@ -1,5 +1,5 @@
-"""Diffusion policy: a replay buffer, a Zarr hierarchy of version 2 with all frames of all demonstrations one after the
-other in `data`, and where each ends in `meta/episode_ends`."""
+"""Diffusion policy: a replay buffer, a Zarr v2 hierarchy with the concatenated frames of all demonstrations in `data`
+and their ends in `meta/episode_ends`."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     import zarr
 
 CHUNK_BYTES = 2**21
-"""Size of a chunk before compression, at most: ten images of 256x256. Training reads windows of some 16 frames at
-random, so that larger chunks would be read for little of them, and smaller ones be many files. Changes no value."""
+"""Largest size of a chunk before compression, bytes: ten images of 256x256. Training reads random windows of some 16
+frames: larger chunks would be read mostly in vain, smaller ones would be many files. Changes no value."""
 
 
 def write(out: Path, episodes: Episodes) -> list[str]:
-    """Write the folder; nothing to note."""
+    """Write the folder; there are no notes."""
     import numpy as np
     import zarr
 
@@ -46,26 +46,30 @@ def write(out: Path, episodes: Episodes) -> list[str]:
     for appender in appenders.values():
         appender.close()
     ends = np.cumsum([entry.n_frames for entry in episodes.entries])
-    _whole(meta, "episode_ends", ends.astype(np.int64), "Number of the first frame that is not of the episode.")
-    of = np.array([SPLITS.index(entry.split) for entry in episodes.entries], dtype=np.int64)
-    _whole(meta, "episode_split", of, f"Number of the episode's split among {', '.join(SPLITS)}.")
+    _write_whole(meta, "episode_ends", ends.astype(np.int64), "Number of the first frame after the episode.")
+    splits = np.array([SPLITS.index(entry.split) for entry in episodes.entries], dtype=np.int64)
+    _write_whole(meta, "episode_split", splits, f"Number of the episode's split among {', '.join(SPLITS)}.")
     return []
 
 
 def description(folder: Path) -> object:
-    """What the group's attributes say of its numbers: Zarr knows no files but its own."""
+    """The description in the group's attributes, as Zarr has no place for other files; None if there is none."""
     file = folder / ".zattrs"
     with suppress(BadData):
-        said = read_json(file) if file.is_file() else None
-        return said.get("bask") if isinstance(said, dict) else None
+        attributes = read_json(file) if file.is_file() else None
+        return attributes.get("bask") if isinstance(attributes, dict) else None
     return None
 
 
-_STATE = "What a policy observes: keypoints, their spread, gripper; as `values` names them."
+_STATE = "A policy's observation: keypoints, their spread, gripper, as named in `values`."
 
 
 class Appender:
-    """Writes an array from its beginning to its end in whole chunks, however the values come."""
+    """Writer of an array in whole chunks, from parts of any length.
+
+    Args:
+        shape: of the whole array, frames first.
+    """
 
     def __init__(
         self, group: zarr.Group, name: str, shape: tuple[int, ...], dtype: str, attributes: dict[str, Any]
@@ -80,7 +84,7 @@ class Appender:
             shape=shape,
             chunks=(self._chunk, *shape[1:]),
             dtype=dtype,
-            # zstd makes of images half of what the lz4 of their own default does; any Blosc reads it.
+            # Images take half the space of diffusion policy's default, lz4; every Blosc reads zstd.
             compressors=[Blosc("zstd", clevel=5, shuffle=Blosc.BITSHUFFLE)],
             attributes=attributes,
         )
@@ -88,7 +92,7 @@ class Appender:
         self._n_waiting = self._n_written = 0
 
     def append(self, values: np.ndarray) -> None:
-        """Add frames."""
+        """Append frames."""
         self._parts.append(values)
         self._n_waiting += len(values)
         if self._n_waiting >= self._chunk:
@@ -111,11 +115,11 @@ class Appender:
 
 def _appender(data: zarr.Group, column: Column, n_frames: int) -> Appender:
     shape = (n_frames, column.width) if column.values else (n_frames,)
-    says = {"description": column.description, "units": column.units, "values": list(column.values)}
-    return Appender(data, column.name, shape, column.dtype, says)
+    attributes = {"description": column.description, "units": column.units, "values": list(column.values)}
+    return Appender(data, column.name, shape, column.dtype, attributes)
 
 
-def _whole(group: zarr.Group, name: str, values: np.ndarray, description: str) -> None:
+def _write_whole(group: zarr.Group, name: str, values: np.ndarray, description: str) -> None:
     array = group.create_array(
         name, shape=values.shape, chunks=values.shape, dtype=values.dtype, attributes={"description": description}
     )

@@ -1,4 +1,4 @@
-"""Encoded demonstrations as a policy learns from them: episodes with the same columns, read one at a time."""
+"""Episodes of an export: encoded demonstrations with the same columns, read one at a time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 SPLITS = ("train", "validation", "test")
 
 SINGLE_FILE = "file"
-"""Name of an export that is a single file, until it has its own."""
+"""Temporary name of an export that is a single file."""
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,10 @@ class Entry:
     """A demonstration before its frames are read.
 
     Args:
-        fps: frames per second: the inverse of the median time between frames.
-        n_gaps: times between frames that are longer than one and a half of the median.
-        digest: of the keypoints.
-        filter: that tracked them.
+        fps: frames per second, the inverse of the median interval between frames.
+        n_gaps: number of intervals longer than one and a half times the median.
+        digest: digest of the track.
+        filter: filter that made the track.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Episode:
-    """A demonstration's frames: for each column (t, width), single numbers (t,)."""
+    """Frames of a demonstration: values (t, width) by column, (t,) for scalars, and cameras by name."""
 
     entry: Entry
     values: dict[str, np.ndarray]
@@ -57,22 +57,22 @@ class Episode:
 
     @property
     def state(self) -> np.ndarray:
-        """What a policy observes, (t, s) float32: the columns of `Episodes.state` side by side."""
+        """A policy's observation (t, s) float32: the concatenated columns of `Episodes.state`."""
         import numpy as np
 
-        there = [name for name in STATE if name in self.values]
-        return np.concatenate([self.values[name].reshape(self.entry.n_frames, -1) for name in there], axis=1)
+        names = [name for name in STATE if name in self.values]
+        return np.concatenate([self.values[name].reshape(self.entry.n_frames, -1) for name in names], axis=1)
 
 
 class Episodes:
-    """The chosen demonstrations, those for training first. What does not fit together is told before any is written."""
+    """The selected demonstrations, those for training first; inconsistent ones are refused before any is written."""
 
     def __init__(self, dataset: Dataset, settings: ExportSettings) -> None:
-        """Look at every demonstration.
+        """Check every demonstration.
 
         Raises:
-            UsageError: a name is no demonstration, or is in two splits; there is none; the noise is negative.
-            BadData: a demonstration has no keypoints, or not the columns that the others have.
+            UsageError: a name is unknown or in two splits, there are no demonstrations, or the noise is negative.
+            BadData: a demonstration has no keypoints, or columns that differ from the others'.
         """
         if not 0 <= settings.noise < float("inf"):
             raise UsageError("export", "--noise", expected="0 metres or more", got=settings.noise)
@@ -87,38 +87,38 @@ class Episodes:
 
     @property
     def state(self) -> list[Column]:
-        """The columns that make up a policy's observation."""
+        """Columns of a policy's observation."""
         return [column for column in self.columns if column.name in STATE]
 
     def column(self, name: str) -> Column:
-        """One of the columns."""
+        """The column with a name."""
         return next(column for column in self.columns if column.name == name)
 
     def has(self, name: str) -> bool:
-        """Whether there is such a column."""
+        """Whether there is a column with this name."""
         return name in [column.name for column in self.columns]
 
     def path_of(self, entry: Entry) -> Path:
-        """Where a demonstration lies."""
+        """Path of a demonstration."""
         return self._demonstration(entry.name).path
 
     def require(self, name: str) -> None:
-        """Refuse demonstrations without a column that the format cannot do without; `BadData`."""
+        """Raise `BadData` if demonstrations lack a column that the format requires."""
         if not self.has(name):
             path = self.path_of(self.entries[0])
-            fix = "record what the robot does, or export to parquet."
-            raise BadData(path, f"robot/{name}", expected="a record of it", got="none", fix=fix)
+            fix = f"record the robot's {name}, or export to parquet."
+            raise BadData(path, f"robot/{name}", expected=f"the robot's {name}", got="none", fix=fix)
 
     @property
     def notes(self) -> list[str]:
-        """What was done to the numbers; complete when all have been read."""
+        """Notes for the user on the data; complete after all episodes have been read."""
         by_filter: dict[str, list[str]] = {}
         for entry in self.entries:
             by_filter.setdefault(entry.filter, []).append(entry.name)
-        told = "; ".join(f"{filter}: {listed(names)}" for filter, names in by_filter.items())
-        mixed = [f"the keypoints are of different filters: {told}."] if len(by_filter) > 1 else []
+        filters = "; ".join(f"{filter}: {listed(names)}" for filter, names in by_filter.items())
+        mixed = [f"the keypoints are of different filters: {filters}."] if len(by_filter) > 1 else []
         return mixed + [
-            f"{name}: {n} positions are kept from other frames, in which the keypoint was localised."
+            f"{name}: {n} positions are from other frames, as the keypoint was not localised."
             for name, n in self._held.items()
             if n
         ]
@@ -127,7 +127,7 @@ class Episodes:
         return len(self.entries)
 
     def __iter__(self) -> Iterator[Episode]:
-        """Each demonstration in turn; only one's numbers are in memory, and none of its images."""
+        """Iterate over the episodes; only one is in memory at a time, without its images."""
         for entry in self.entries:
             yield self._read(entry)
 
@@ -136,7 +136,7 @@ class Episodes:
         return [i for i, entry in enumerate(self.entries) if entry.split == split]
 
     def described(self, format: str) -> dict[str, Any]:
-        """What a reader must know: columns, frames, units, where the numbers come from."""
+        """The description of the export: columns, frames, units, and provenance."""
         return {
             "made_by": f"bask-data {__version__}",
             "format": format,
@@ -155,14 +155,14 @@ class Episodes:
 
     @cached_property
     def n_frames(self) -> int:
-        """Of all demonstrations."""
+        """Number of frames of all demonstrations."""
         return sum(entry.n_frames for entry in self.entries)
 
     def _demonstration(self, name: str) -> Demonstration:
         return Demonstration(self.dataset.path(Demonstration, name))
 
     def track(self, name: str) -> KeypointTrack:
-        """The keypoints of a demonstration; `BadData` where there are none."""
+        """The track of a demonstration; `BadData` if there is none."""
         path = self.dataset.path(KeypointTrack, name, self.settings.variant)
         if not path.exists():
             option = "" if self.settings.variant == "main" else f" --variant {self.settings.variant}"
@@ -193,20 +193,20 @@ class Episodes:
         return columns_of(self._demonstration(name), self.track(name))
 
     def _sizes(self, name: str) -> dict[str, tuple[int, int]]:
-        """(height, width) of each camera whose images are wanted."""
+        """(height, width) in pixels of each camera whose images are exported."""
         cameras = self._demonstration(name).cameras if self.settings.videos else []
         return {camera.name: (camera.height, camera.width) for camera in cameras}
 
     def _check_alike(self, first: str, other: str) -> None:
-        """Policies learn from all demonstrations at once: names and sizes must be the same in all of them."""
-        here, there = self._columns(first), self._columns(other)
-        names = {column.name: column.values for column in there}
-        for column in here:
+        """Check that columns, reference keypoints and image sizes are the same, as a policy learns from all at once."""
+        columns = self._columns(first)
+        names = {column.name: column.values for column in self._columns(other)}
+        for column in columns:
             if names.get(column.name) != column.values:
                 got = ", ".join(names[column.name]) if column.name in names else "none"
                 expected = f"{', '.join(column.values)}, as {first} has"
                 raise BadData(self._demonstration(other).path, column.name, expected=expected, got=got, fix=_ALIKE)
-        if extra := [name for name in names if name not in {column.name for column in here}]:
+        if extra := [name for name in names if name not in {column.name for column in columns}]:
             path = self._demonstration(other).path
             raise BadData(path, extra[0], expected=f"none, as {first} has none", got="some", fix=_ALIKE)
         self._check_same_reference(first, other)
@@ -215,22 +215,22 @@ class Episodes:
             raise BadData(self._demonstration(other).path, "cameras", expected=expected, got=_listed(sizes), fix=_ALIKE)
 
     def _check_same_reference(self, first: str, other: str) -> None:
-        """A keypoint's name stands for one point of an object: that of the reference both were tracked by."""
-        here, there = self._reference(first), self._reference(other)
-        if here and there and here != there:
+        """Check that both have the same reference keypoints, as a name must stand for one point of an object."""
+        expected, got = self._reference(first), self._reference(other)
+        if expected and got and expected != got:
             option = "" if self.settings.variant == "main" else f" --variant {self.settings.variant}"
             raise BadData(
                 self.track(other).path,
                 "reference",
-                expected=f"{here[:12]}, as {first} was tracked by",
-                got=there[:12],
+                expected=f"{expected[:12]}, as for {first}",
+                got=got[:12],
                 fix=f"bask-data encode {self.dataset.root}{option}, or {_ALIKE}",
             )
 
     def _reference(self, name: str) -> str:
-        """Digest of the reference keypoints that a track was made from; empty where it does not say."""
+        """Digest of the reference keypoints that a track was made from; empty if not recorded."""
         inputs = self.track(name).manifest.inputs
-        return next((of for path, of in inputs.items() if path.split("/")[0] == ReferenceKeypoints.kind), "")
+        return next((digest for path, digest in inputs.items() if path.split("/")[0] == ReferenceKeypoints.kind), "")
 
     def _read(self, entry: Entry) -> Episode:
         import numpy as np
@@ -242,7 +242,7 @@ class Episodes:
         for i in np.flatnonzero(~localised.any(axis=0)):
             fix = "export another --variant, or leave the demonstration out with --only."
             raise BadData(
-                track.path, track.names[i], expected="a place in at least one frame", got="none in any", fix=fix
+                track.path, track.names[i], expected="a position in at least one frame", got="none in any", fix=fix
             )
         self._held[entry.name] = int((~localised).sum())
         noise = _generator(self.settings.seed, entry.name).normal(0.0, self.settings.noise, track.mean.shape)
@@ -262,10 +262,10 @@ class Episodes:
 
 
 def held(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Values (t, k, ...) where unknown ones are those of the last frame before that is known, or else of the first.
+    """Values (t, k, ...) with unknown ones replaced by the last known one before, or else by the first known one.
 
     Args:
-        known: (t, k) bool; each of the k somewhere.
+        known: (t, k) bool; each of the k is known in at least one frame.
     """
     import numpy as np
 
@@ -274,38 +274,40 @@ def held(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     return values[np.where(before < 0, known.argmax(axis=0), before), np.arange(n)]
 
 
-_ALIKE = "export those that are alike with --only."
+_ALIKE = "export demonstrations that match with --only."
 
 
 def _divided(dataset: Dataset, settings: ExportSettings) -> list[tuple[str, str]]:
-    """(demonstration, split), by split and then as the dataset lists them."""
-    there = dataset.items("demonstration")
+    """(demonstration, split) in the order of splits, then of the dataset."""
+    demonstrations = dataset.items("demonstration")
     for option, names in (("--only", settings.only), ("--validation", settings.validation), ("--test", settings.test)):
         if names:
             dataset.select(names, "demonstration", option=option)
     if both := [name for name in settings.validation if name in settings.test]:
-        raise UsageError("export", "--test", expected="others than --validation", got=", ".join(both))
+        raise UsageError("export", "--test", expected="no demonstrations of --validation", got=", ".join(both))
     selected = set(dataset.select(settings.only, "demonstration"))
-    chosen = [name for name in there if name in selected]
-    of = {**dict.fromkeys(settings.validation, "validation"), **dict.fromkeys(settings.test, "test")}
-    return sorted(((name, of.get(name, "train")) for name in chosen), key=lambda pair: SPLITS.index(pair[1]))
+    chosen = [name for name in demonstrations if name in selected]
+    held_out = {**dict.fromkeys(settings.validation, "validation"), **dict.fromkeys(settings.test, "test")}
+    return sorted(((name, held_out.get(name, "train")) for name in chosen), key=lambda pair: SPLITS.index(pair[1]))
 
 
 def _rate(camera: Camera) -> tuple[float, int]:
-    """Frames per second of a stream, and how often it paused."""
+    """Frames per second of a camera, and the number of gaps; see `Entry`."""
     import numpy as np
 
     steps = np.diff(camera.time)
     if len(steps) == 0:
         raise BadData(camera.path, "time", expected="two frames or more", got=len(camera.time))
     if not (np.isfinite(steps).all() and (steps > 0).all()):
-        raise BadData(camera.path, "time", expected="each frame later than the one before", got="times that are not")
+        late = int(np.argmin(np.isfinite(steps) & (steps > 0))) + 1
+        got = f"{camera.time[late]:g} s after {camera.time[late - 1]:g} s at frame {late}"
+        raise BadData(camera.path, "time", expected="times that increase with the frames", got=got, fix=_ALIKE)
     step = float(np.median(steps))
     return 1.0 / step, int((steps > 1.5 * step).sum())
 
 
 def _generator(seed: int, name: str) -> np.random.Generator:
-    """A source of noise that is a demonstration's own, whichever others are exported along with it."""
+    """Generator of a demonstration's noise, independent of the other exported demonstrations."""
     import numpy as np
 
     return np.random.default_rng([seed, *hashlib.sha256(name.encode()).digest()])

@@ -1,4 +1,4 @@
-"""Images of demonstrations on their way into other files."""
+"""Colour images of demonstrations, read for export."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 
 def frames(camera: Camera, demonstration: str) -> Iterator[np.ndarray]:
-    """The colour images of a camera in order, one in memory at a time."""
+    """Iterate over a camera's colour images (h, w, 3) in order, one in memory at a time."""
     for i_frame in progress(range(camera.n_frames), f"exporting {camera.name} of {demonstration}"):
         yield camera.rgb(i_frame)
 
 
 def blocks(camera: Camera, demonstration: str, n: int) -> Iterator[np.ndarray]:
-    """The same, up to `n` images (n, h, w, 3) at a time."""
+    """Iterate over blocks of up to `n` colour images (n, h, w, 3)."""
     import numpy as np
 
     images: list[np.ndarray] = []

@@ -1,4 +1,4 @@
-"""LeRobot, dataset format v3.0: tables of frames and of episodes, one video file for many episodes, statistics."""
+"""LeRobot, dataset format v3.0: tables of frames and episodes, video files shared by episodes, and statistics."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 VERSION = "v3.0"
 FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 FILES_PER_CHUNK = 1000
-"""Files in a folder, at most: LeRobot's own default, `chunks_size`."""
+"""Most files in a folder: LeRobot's default of `chunks_size`."""
 
 DATA_BYTES, VIDEO_BYTES = 100 * 2**20, 200 * 2**20
-"""A file that has grown to this is ended with its episode: LeRobot's own defaults, 100 and 200 MB."""
+"""Sizes in bytes at which a file ends after its episode: LeRobot's defaults, 100 and 200 MB."""
 
 QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
-"""Shares of the values below the quantiles that LeRobot keeps among its statistics, as format v3.0 names them."""
+"""Quantiles among the statistics of format v3.0."""
 
 RATE_TOLERANCE = 0.02
-"""Clocks jitter: a rate as near as this to a whole number, or to another demonstration's, is meant to be it. As a share
-of the rate; 29.97 and 30 frames a second differ by 0.001. Sensitivity not measured."""
+"""Relative difference within which two rates, or a rate and an integer, count as equal, as clocks jitter; 29.97 and 30
+frames per second differ by 0.001. Sensitivity not measured."""
 
 NUMBERING = tuple(
     Column(name, (), dtype, description)
@@ -48,7 +48,7 @@ NUMBERING = tuple(
 
 
 def write(out: Path, episodes: Episodes) -> list[str]:
-    """Write the folder; what was made of the rate of frames."""
+    """Write the folder; notes on the frame rate."""
     fps, notes = rate(episodes)
     columns, tasks = _columns(episodes), _tasks(episodes)
     rows: list[dict[str, Any]] = []
@@ -61,11 +61,11 @@ def write(out: Path, episodes: Episodes) -> list[str]:
             values = _numbered(episode, i, begin, tasks.index(episode.entry.task), fps)
             row = {"episode_index": i, "tasks": [episode.entry.task], "length": n}
             row |= {"dataset_from_index": begin, "dataset_to_index": begin + n, **tables.append(values)}
-            found = {column.name: vector_stats(values[column.name]) for column in columns}
-            found |= {video.key: video.append(row, episode) for video in videos}
-            row |= {f"stats/{name}/{key}": value for name, one in found.items() for key, value in one.items()}
+            features = {column.name: vector_stats(values[column.name]) for column in columns}
+            features |= {video.key: video.append(row, episode) for video in videos}
+            row |= {f"stats/{name}/{key}": value for name, of in features.items() for key, value in of.items()}
             rows.append(row | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
-            stats.append(found)
+            stats.append(features)
     features = {column.name: _feature(column) for column in columns} | {video.key: video.feature for video in videos}
     _write_meta(out, episodes, features, stats, rows, fps)
     return notes
@@ -76,29 +76,29 @@ def _feature(column: Column) -> dict[str, Any]:
 
 
 def rate(episodes: Episodes) -> tuple[float, list[str]]:
-    """The one rate that all of a dataset's episodes have, whole if it nearly is.
+    """Frame rate of all episodes, frames per second, rounded if close to an integer; and notes.
 
     Raises:
-        BadData: a demonstration has another rate than the first.
+        BadData: a demonstration's rate differs from the first one's.
     """
     first = episodes.entries[0]
     for entry in episodes.entries:
         if abs(entry.fps / first.fps - 1) > RATE_TOLERANCE:
             expected = f"about {first.fps:.3g} frames per second, as {first.name} has"
-            fix = "export those of one rate with --only."
+            fix = "export demonstrations of one rate with --only."
             raise BadData(episodes.path_of(entry), "time", expected=expected, got=f"{entry.fps:.3g}", fix=fix)
     mean = sum(entry.fps for entry in episodes.entries) / len(episodes)
     whole = round(mean)
     if whole and abs(mean / whole - 1) <= RATE_TOLERANCE:
         return whole, []
-    return round(mean, 3), [f"{mean:.3f} frames per second is no whole number, as some of LeRobot's tools expect."]
+    return round(mean, 3), [f"the rate of {mean:.3f} frames per second is not an integer; some LeRobot tools need one."]
 
 
 def _columns(episodes: Episodes) -> list[Column]:
-    """LeRobot's names: what begins with `observation` or is `action` goes to the policy, the rest stays beside it."""
+    """Columns by LeRobot's names: policies use those named `observation...` and `action`, and ignore the others."""
     everything = tuple(name for column in episodes.state for name in column.values)
     state = Column("observation.state", everything, "float32", "Keypoints, their spread, gripper.")
-    # ACT and Diffusion refuse to learn from a state alone: they want images, or the environment's state beside it.
+    # ACT and Diffusion refuse a state alone: they require images or the environment's state as well.
     around = tuple(name for column in episodes.state if column.name in _AROUND for name in column.values)
     environment = Column("observation.environment_state", around, "float32", "Keypoints and their spread again.")
     action = [episodes.column("action")] if episodes.has("action") else []
@@ -134,7 +134,7 @@ def _numbered(episode: Episode, i: int, begin: int, task: int, fps: float) -> di
 
 
 class _Numbering:
-    """Which file is being written: `chunk_index` and `file_index`."""
+    """Position of the current file: `chunk_index` and `file_index`."""
 
     def __init__(self) -> None:
         self.n = -1
@@ -164,7 +164,7 @@ class _Tables(_Numbering):
             self._writer = None
 
     def append(self, values: dict[str, np.ndarray]) -> dict[str, int]:
-        """Add an episode; in which file it is."""
+        """Append an episode; returns its file's position."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -201,7 +201,7 @@ class _Videos(_Numbering):
             video.__exit__(*error)
 
     def append(self, row: dict[str, Any], episode: Episode) -> dict[str, Any]:
-        """Add an episode, and to its row where it is; the statistics of its images."""
+        """Append an episode and enter its position in `row`; returns the statistics of its images."""
         import numpy as np
 
         video = self._video = self._video or self._next()
@@ -220,7 +220,7 @@ class _Videos(_Numbering):
 
         self.n += 1
         path = self._out / "videos" / self.key / f"{FILE.format(**self.where())}.mp4"
-        # Training draws frames at random: with every other frame a whole picture, none is far from one.
+        # Training reads random frames: with every other frame a keyframe, each decodes fast.
         video = VideoWriter(path, self._fps, self._size, keyframe_every=2, quality=20)
         height, width = video.coded_size
         info = {"height": height, "width": width, "codec": "h264", "pix_fmt": "yuv420p", "is_depth_map": False}
@@ -235,7 +235,7 @@ class _Videos(_Numbering):
 
 
 def _single(column: Column) -> Column:
-    """The same column, where LeRobot has a number for a list of one."""
+    """The column as LeRobot stores it: a list of one value becomes a scalar."""
     return Column(column.name, (), column.dtype, column.description) if column.width == 1 else column
 
 
@@ -244,41 +244,42 @@ def vector_stats(values: np.ndarray) -> dict[str, Any]:
     import numpy as np
 
     columns = values.reshape(len(values), -1).astype(np.float64)
-    found = {"min": columns.min(0), "max": columns.max(0), "mean": columns.mean(0), "std": columns.std(0)}
-    found |= {_quantile_name(share): np.quantile(columns, share, axis=0) for share in QUANTILES}
-    return {**{name: value.tolist() for name, value in found.items()}, "count": [len(values)]}
+    stats = {"min": columns.min(0), "max": columns.max(0), "mean": columns.mean(0), "std": columns.std(0)}
+    stats |= {_quantile_name(share): np.quantile(columns, share, axis=0) for share in QUANTILES}
+    return {**{name: value.tolist() for name, value in stats.items()}, "count": [len(values)]}
 
 
 def image_stats(counts: np.ndarray, n_images: int) -> dict[str, Any]:
-    """Statistics of images as shares of full brightness, each of shape (3, 1, 1).
+    """Statistics of images, each (3, 1, 1), with brightness from 0 to 1.
 
     Args:
-        counts: (3, 256), how often each channel has each brightness.
+        counts: (3, 256) histograms of the channels.
     """
     import numpy as np
 
     brightness = np.arange(256) / 255.0
     share = counts / counts.sum(axis=1, keepdims=True)
-    there = counts > 0
+    occurs = counts > 0
     mean = share @ brightness
-    found = {
-        "min": brightness[there.argmax(axis=1)],
-        "max": brightness[255 - there[:, ::-1].argmax(axis=1)],
+    stats = {
+        "min": brightness[occurs.argmax(axis=1)],
+        "max": brightness[255 - occurs[:, ::-1].argmax(axis=1)],
         "mean": mean,
         "std": np.sqrt(np.maximum(share @ brightness**2 - mean**2, 0.0)),
     }
     reached = share.cumsum(axis=1)
-    # Sums of shares end a little below or above 1, so that the last brightness is found for all quantiles.
-    found |= {_quantile_name(q): brightness[(reached >= q - 1e-12).argmax(axis=1)] for q in QUANTILES}
-    return {**{name: value.reshape(3, 1, 1).tolist() for name, value in found.items()}, "count": [n_images]}
+    # The tolerance covers the rounding of the cumulative sums.
+    stats |= {_quantile_name(q): brightness[(reached >= q - 1e-12).argmax(axis=1)] for q in QUANTILES}
+    return {**{name: value.reshape(3, 1, 1).tolist() for name, value in stats.items()}, "count": [n_images]}
 
 
 def merged_stats(episodes: list[dict[str, Any]]) -> dict[str, Any]:
-    """Statistics of all episodes from those of each: exact but for quantiles, which are averaged as LeRobot does."""
+    """Statistics of all episodes from those of each: exact except for quantiles, which are averaged as in LeRobot."""
     import numpy as np
 
-    counts = np.array([one["count"][0] for one in episodes], dtype=np.float64)
-    of = {name: np.array([one[name] for one in episodes], dtype=np.float64) for name in episodes[0] if name != "count"}
+    counts = np.array([stats["count"][0] for stats in episodes], dtype=np.float64)
+    names = [name for name in episodes[0] if name != "count"]
+    of = {name: np.array([stats[name] for stats in episodes], dtype=np.float64) for name in names}
 
     def averaged(values: np.ndarray) -> np.ndarray:
         mean: np.ndarray = np.average(values, axis=0, weights=counts)
@@ -303,7 +304,7 @@ def _write_meta(
     rows: list[dict[str, Any]],
     fps: float,
 ) -> None:
-    """Write `meta/`: what there is, statistics, tasks, episodes."""
+    """Write `meta/`: info, statistics, tasks, episodes, and our description."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -326,14 +327,15 @@ def _write_meta(
     meta = out / "meta"
     (meta / "episodes" / "chunk-000").mkdir(parents=True)
     _write_json(meta / "info.json", info)
-    _write_json(meta / "stats.json", {name: merged_stats([one[name] for one in stats]) for name in stats[0]})
+    merged = {name: merged_stats([of_episode[name] for of_episode in stats]) for name in stats[0]}
+    _write_json(meta / "stats.json", merged)
     pq.write_table(pa.Table.from_pylist(rows), meta / "episodes" / "chunk-000" / "file-000.parquet")
     _write_tasks(meta / "tasks.parquet", tasks)
     write_description(out, episodes.described("lerobot"))
 
 
 def _write_tasks(file: Path, tasks: list[str]) -> None:
-    """LeRobot reads the tasks as a pandas table whose index they are; which column that is, pandas finds here."""
+    """Write the tasks as a pandas table with the tasks as index, which the schema's metadata states."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -341,9 +343,9 @@ def _write_tasks(file: Path, tasks: list[str]) -> None:
         {"name": name, "field_name": name, "pandas_type": pandas, "numpy_type": numpy, "metadata": None}
         for name, pandas, numpy in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
     ]
-    says = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
+    metadata = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
-    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(says)}), file)
+    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(metadata)}), file)
 
 
 def _tasks(episodes: Episodes) -> list[str]:
@@ -351,7 +353,7 @@ def _tasks(episodes: Episodes) -> list[str]:
 
 
 def _splits(episodes: Episodes) -> dict[str, str]:
-    """Ranges of episodes: they are in the order of their splits."""
+    """Range of episodes of each split, `begin:end`; episodes are in the order of splits."""
     ranges = {split: episodes.in_split(split) for split in SPLITS}
     return {split: f"{numbers[0]}:{numbers[-1] + 1}" for split, numbers in ranges.items() if numbers}
 

@@ -1,4 +1,4 @@
-"""Parquet: `frames.parquet`, one row a frame, `episodes.parquet`, and videos if asked for."""
+"""Parquet: `frames.parquet` with one row per frame, `episodes.parquet`, and videos if requested."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def write(out: Path, episodes: Episodes) -> list[str]:
-    """Write the folder; nothing to note."""
+    """Write the folder; there are no notes."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -38,7 +38,7 @@ def write(out: Path, episodes: Episodes) -> list[str]:
             n = episode.entry.n_frames
             columns = [pa.array([episode.entry.name] * n), pa.array([episode.entry.split] * n), pa.array(range(n))]
             columns += [arrow(episode.values[column.name], column) for column in episodes.columns]
-            # One row group each, so that a reader that wants one demonstration reads no other.
+            # One row group per demonstration, so that each can be read without the others.
             writer.write_table(pa.Table.from_arrays(columns, schema=schema), row_group_size=n)
     pq.write_table(
         pa.Table.from_pylist([vars(entry) for entry in episodes.entries]), out / "episodes.parquet", **options
@@ -62,15 +62,15 @@ def _write_videos(out: Path, episodes: Episodes) -> None:
 
 
 def arrow_type(column: Column) -> pa.DataType:
-    """The Arrow type of one frame's values: a number, or a list whose length is part of the type."""
+    """Arrow type of one frame's values: a scalar, or a list of fixed length."""
     import pyarrow as pa
 
-    of_one = pa.type_for_alias(column.dtype)
-    return pa.list_(of_one, column.width) if column.values else of_one
+    scalar = pa.type_for_alias(column.dtype)
+    return pa.list_(scalar, column.width) if column.values else scalar
 
 
 def arrow(values: np.ndarray, column: Column) -> pa.Array:
-    """A column (t, width) or (t,) as Arrow has it."""
+    """A column's values (t, width) or (t,) as an Arrow array."""
     import pyarrow as pa
 
     if not column.values:
@@ -81,5 +81,5 @@ def arrow(values: np.ndarray, column: Column) -> pa.Array:
 def _field(column: Column) -> pa.Field:
     import pyarrow as pa
 
-    says = {"description": column.description, "units": column.units, "values": json.dumps(column.values)}
-    return pa.field(column.name, arrow_type(column), nullable=False, metadata=says)
+    metadata = {"description": column.description, "units": column.units, "values": json.dumps(column.values)}
+    return pa.field(column.name, arrow_type(column), nullable=False, metadata=metadata)

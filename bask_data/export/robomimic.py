@@ -1,6 +1,6 @@
-"""robomimic: one HDF5 file, a group `data/demo_<i>` a demonstration, a list of names in `mask` a split.
+"""robomimic: one HDF5 file with a group `data/demo_<i>` per demonstration and a list of names in `mask` per split.
 
-Only imitation learning can use it: rewards are 0 and, because demonstrations are taken to succeed, 1 in the last frame;
+It serves imitation learning only: rewards are 0, and 1 in the last frame, as demonstrations are assumed to succeed;
 there is no `next_obs`.
 """
 
@@ -23,17 +23,17 @@ MASKS = {"train": "train", "validation": "valid", "test": "test"}
 """robomimic's names of the splits."""
 
 NO_ENVIRONMENT = 2
-"""robomimic's number of a Gym environment; it knows none that is no environment, and makes it only for roll-outs."""
+"""robomimic's number for Gym environments. It has none for a lack of environment, and uses it only for rollouts."""
 
 
 def write(out: Path, episodes: Episodes) -> list[str]:
-    """Write one file; what robomimic will not like about the actions."""
+    """Write the file; notes on the range of actions."""
     import h5py
 
     largest = 0.0
     # The earliest layout that holds all this: readers open it whatever their version.
     with h5py.File(out / SINGLE_FILE, "w", libver="earliest") as file:
-        # Not an attribute: those take 64 kB, and a few hundred demonstrations are more.
+        # Not an attribute: these are limited to 64 kB, and hundreds of demonstrations take more.
         file["bask"] = json.dumps(episodes.described("robomimic"), ensure_ascii=False, allow_nan=False)
         data = file.create_group("data")
         data.attrs["total"] = episodes.n_frames
@@ -45,13 +45,14 @@ def write(out: Path, episodes: Episodes) -> list[str]:
         for split, mask in MASKS.items():
             if names := [f"demo_{i}" for i in episodes.in_split(split)]:
                 file.create_dataset(f"mask/{mask}", data=_bytes(names))
-    return [f"robomimic wants actions from -1 to 1; the largest is {largest:.3g}."] if largest > 1 else []
+    note = f"robomimic expects actions from -1 to 1; the largest magnitude is {largest:.3g}."
+    return [note] if largest > 1 else []
 
 
 def description(file: Path) -> object:
-    """The text that says what the numbers of an HDF5 file mean, if the file itself holds it and not by a link."""
+    """The description in an HDF5 file; None if there is none, or only a link to one."""
     h5py = imported("h5py", "h5py", user="export", extra="export")
-    # Whatever a damaged or a foreign file makes the library raise: it is not known to be ours.
+    # A damaged or foreign file may raise any exception; it counts as no export.
     with suppress(Exception), h5py.File(file, "r") as opened:
         if isinstance(opened.get("bask", getlink=True), h5py.HardLink):
             return json.loads(opened["bask"].asstr()[()])
@@ -70,7 +71,7 @@ def _write_episode(group: Any, episode: Episode, episodes: Episodes) -> None:
     group["states"], group["time"] = np.zeros((n, 0), np.float32), episode.values["time"]
     for column in episodes.columns:
         if column.name not in ("time", "action"):
-            # It makes tensors of what it reads as it is, and multiplies them: no truth values.
+            # robomimic multiplies observations without converting them, which fails for bool.
             values = episode.values[column.name]
             group[f"obs/{column.name}"] = values.astype(np.float32) if column.dtype == "bool" else values
             group[f"obs/{column.name}"].attrs.update({"units": column.units, "description": column.description})
@@ -87,7 +88,7 @@ def _write_episode(group: Any, episode: Episode, episodes: Episodes) -> None:
 
 
 def _bytes(names: Any) -> np.ndarray:
-    """Names as robomimic decodes them."""
+    """Names as bytes (n,), the type that robomimic decodes."""
     import numpy as np
 
     return np.array([name.encode() for name in names], dtype="S")

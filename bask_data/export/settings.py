@@ -11,13 +11,13 @@ class ExportSettings:
     """What to export, and how.
 
     Args:
-        variant: of the keypoints.
-        only: demonstrations by name; none means all.
+        variant: variant of the keypoints.
+        only: names of demonstrations; empty means all.
         validation, test: demonstrations to hold out; the others are for training.
         noise: standard deviation of Gaussian noise on each coordinate of the keypoints, metres.
-        seed: of the noise, which depends on a demonstration's name and not on the others'.
-        videos: whether the cameras' images go along.
-        task: what is done, in words; without, what the demonstration's source says, or else the dataset's name.
+        seed: seed of the noise, which depends on a demonstration's name but not on the other demonstrations.
+        videos: whether to include the cameras' images.
+        task: description of the task; if empty, that of the demonstration's source, or else the dataset's name.
     """
 
     variant: str = "main"

@@ -1,4 +1,4 @@
-"""The table of formats: what `bask-data export` can write."""
+"""The table of formats of `bask-data export`."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ class ExportFormat:
     """A format that `bask-data export <name>` writes, in the module `bask_data.export.<name>`.
 
     Args:
-        name: as it is typed; a hyphen is an underscore in the module's name.
-        help: what the files are, in a few words.
-        opened_with: what to type to look into an export; `{path}` is its place and `{name}` the last part of it.
-        suffixes: endings of OUT where the format is a single file; none for a folder.
-        columns: what a policy cannot be learned without: refused where the demonstrations lack it.
-        packages: modules of the extra `export` that are needed, as they are imported.
+        name: name on the command line; hyphens are underscores in the module's name.
+        help: the files in a few words.
+        opened_with: command that opens an export; `{path}` is its path and `{name}` the last part of it.
+        suffixes: suffixes of OUT for a format that is a single file; empty for a folder.
+        columns: required columns; demonstrations without them are refused.
+        packages: required modules of the extra `export`.
     """
 
     name: str
@@ -39,17 +39,17 @@ class ExportFormat:
         return bool(self.suffixes)
 
     def write(self, out: Path, episodes: Episodes) -> list[str]:
-        """Fill the folder `out`, a single file as `SINGLE_FILE`; notes for a person."""
+        """Fill the folder `out`, with a single file named `SINGLE_FILE`; returns notes for the user."""
         notes: list[str] = self._module().write(out, episodes)
         return notes
 
     def description(self, path: Path) -> object:
-        """What an export at `path` says of itself; None or anything else where it is no export of this format."""
+        """The description of an export at `path`; None or another object if it is not an export of this format."""
         read: Callable[[Path], object] = getattr(self._module(), "description", read_description)
         return read(path)
 
     def require(self) -> None:
-        """Raise `MissingDependency` where a package is not installed."""
+        """Raise `MissingDependency` if a required package is not installed."""
         for package in self.packages:
             imported(package, package, user="export", extra="export")
 
@@ -73,7 +73,7 @@ FORMATS = (
 
 
 def named(name: str) -> ExportFormat:
-    """The format of that name; `UsageError` where there is none."""
+    """The format with a name; `UsageError` if there is none."""
     for format in FORMATS:
         if format.name == name:
             return format

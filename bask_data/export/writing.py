@@ -1,4 +1,4 @@
-"""Demonstrations become an export: read once, written aside, put into place whole."""
+"""Writing of exports: to a scratch folder first, then moved into place."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from bask_data.stages.encode import encode
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written.
+    """Summary of an export.
 
     Args:
-        splits: names of the demonstrations of each.
-        columns: number of values of each.
-        notes: what a person should know of the data.
+        splits: names of demonstrations by split.
+        columns: number of values by column.
+        notes: notes for the user on the data.
     """
 
     path: str
@@ -42,20 +42,21 @@ class Exported:
 
     @property
     def opened_with(self) -> str:
-        """What to type to look into it, in Python or in a shell."""
+        """Command that opens the export, in Python or in a shell."""
         return named(self.format).opened_with.format(path=self.path, name=Path(self.path).name)
 
 
 def export(dataset: Dataset, out: Path, format: str, settings: ExportSettings, *, force: bool = False) -> Exported:
-    """Write demonstrations and their keypoints; what is there stays until all is written.
+    """Export demonstrations with their keypoints; an export that is replaced stays until the new one is complete.
 
     Args:
         format: name of one of `FORMATS`.
+        force: replace an existing export.
 
     Raises:
-        WouldOverwrite: there is something at `out`; with `force`, if it is no export.
-        UsageError: `out` lies in the dataset or holds it; or the format or an option names what does not exist.
-        BadData: the demonstrations do not fit together, or hold what no policy can learn from.
+        WouldOverwrite: `out` exists; with `force`, if it is not an export.
+        UsageError: `out` overlaps the dataset, or the format or a name in the settings is unknown.
+        BadData: the demonstrations are inconsistent, incomplete, or lack a required column.
         MissingDependency: the format's package is not installed.
         BaskError: the files cannot be written.
     """
@@ -74,8 +75,8 @@ def export(dataset: Dataset, out: Path, format: str, settings: ExportSettings, *
             else:
                 publish(scratch, out)
     except OSError as error:
-        fix = "see that the disk has room, and that you may write there."
-        raise BaskError(out, "", expected="a place that takes all", got=str(error)[:200], fix=fix) from error
+        fix = "free disk space, or check the permissions of the folder."
+        raise BaskError(out, "", expected="a writable location", got=str(error)[:200], fix=fix) from error
     return Exported(
         path=str(out),
         format=format,
@@ -90,7 +91,7 @@ def export(dataset: Dataset, out: Path, format: str, settings: ExportSettings, *
 
 @contextmanager
 def _scratch_beside(out: Path) -> Iterator[Path]:
-    """A folder on the same file system, gone at the end; those of exports that were killed go, too."""
+    """A scratch folder on the same file system, removed at the end, as are those of killed exports."""
     out.parent.mkdir(parents=True, exist_ok=True)
     recover(out.parent)
     scratch = new_scratch(out.parent, "export")
@@ -103,32 +104,31 @@ def _scratch_beside(out: Path) -> Iterator[Path]:
 
 
 def _refuse(root: Path, out: Path, format: ExportFormat, force: bool) -> None:
-    """Nothing but an export is replaced, and only when asked: a slip in OUT must not cost a folder."""
-    here, there = root.resolve(), out.resolve()
-    if there.is_relative_to(here) or here.is_relative_to(there):
-        raise UsageError(out, "OUT", expected="a place outside of the dataset", got=f"one that shares {root}")
+    """Refuse to replace anything but an export, and that only with `force`, so that a typo in OUT costs no folder."""
+    dataset, target = root.resolve(), out.resolve()
+    if target.is_relative_to(dataset) or dataset.is_relative_to(target):
+        raise UsageError(out, "OUT", expected="a path outside the dataset", got=f"one that overlaps {root}")
     if format.is_file and out.suffix not in format.suffixes:
         raise UsageError(out, "OUT", expected=f"a name that ends in {' or '.join(format.suffixes)}", got=out.name)
     if not out.exists() and not out.is_symlink():
         return
     if not force:
-        raise WouldOverwrite(out, "", expected="nothing", got="something", fix="--force replaces an export.")
+        raise WouldOverwrite(out, "", expected="a new path", got="one that exists", fix="--force replaces an export.")
     if out.is_symlink() or not _is_export(out, format.is_file):
         expected = f"a {format.name} file of bask-data" if format.is_file else "an exported folder"
         raise WouldOverwrite(out, "--force", expected=expected, got="something else", fix="choose another OUT.")
 
 
 def _is_export(path: Path, is_file: bool) -> bool:
-    """Whether what is there says of itself that it was exported, in a format that is a file or a folder."""
+    """Whether the path holds an export, by its description, in a format that is a file or a folder."""
     if path.is_file() != is_file:
         return False
-    alike = [format for format in FORMATS if format.is_file == is_file]
-    said = [(format.name, format.description(path)) for format in alike]
-    return any(isinstance(one, dict) and one.get("format") == name for name, one in said)
+    described = [(format.name, format.description(path)) for format in FORMATS if format.is_file == is_file]
+    return any(isinstance(document, dict) and document.get("format") == name for name, document in described)
 
 
 def _left_out(settings: ExportSettings) -> list[str]:
-    """Demonstrations that were to be held out, but are not among those exported."""
+    """Notes on demonstrations to hold out that are not exported."""
     wanted = (("--validation", settings.validation), ("--test", settings.test))
     dropped = {
         option: [name for name in names if settings.only and name not in settings.only] for option, names in wanted
@@ -141,7 +141,7 @@ def _left_out(settings: ExportSettings) -> list[str]:
 
 
 def _outdated(episodes: Episodes) -> list[str]:
-    """Demonstrations that `encode`, with the dataset's own parameters, would track anew; by what changed."""
+    """Notes on demonstrations whose keypoints are stale with the dataset's parameters, by reason."""
     encoded = [entry.name for entry in episodes.entries if episodes.track(entry.name).manifest.stage == encode.name]
     if not encoded:
         return []
@@ -155,16 +155,17 @@ def _outdated(episodes: Episodes) -> list[str]:
             if state.status != "up to date":
                 names.setdefault(state.why, []).append(task.item)
     except BaskError as error:
-        return [f"whether the keypoints are up to date cannot be told: {error}"]
+        return [f"cannot check whether the keypoints are up to date: {error}"]
     return [
-        f"{listed(of)}: the keypoints are not up to date ({why}); see `bask-data status`." for why, of in names.items()
+        f"{listed(stale)}: the keypoints are not up to date ({why}); see `bask-data status`."
+        for why, stale in names.items()
     ]
 
 
 def _gaps(episodes: Episodes) -> list[str]:
-    """Recordings that paused: their frames are told as if they followed each other evenly."""
+    """Notes on recordings with gaps, whose frames are exported at a constant rate."""
     return [
-        f"{entry.name}: {entry.n_gaps} times between frames are longer than one and a half of the usual "
+        f"{entry.name}: {entry.n_gaps} intervals between frames exceed 1.5 times the median of "
         f"{1 / entry.fps:.3g} s; see the column time."
         for entry in episodes.entries
         if entry.n_gaps
@@ -172,7 +173,7 @@ def _gaps(episodes: Episodes) -> list[str]:
 
 
 def _sync(folder: Path) -> int:
-    """Force every file to disk; how many bytes they are."""
+    """Force every file to disk; returns their size in bytes."""
     n_bytes = 0
     for _, file in list_files(folder):
         descriptor = os.open(file, os.O_RDONLY)

@@ -8,5 +8,5 @@ from tests.export.encoded import Demo, exported_dataset
 
 @pytest.fixture(scope="session")
 def encoded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, dict[str, Demo]]:
-    """Three encoded demonstrations, which no test changes."""
+    """Three encoded demonstrations; tests must not change them."""
     return exported_dataset(tmp_path_factory.mktemp("encoded") / "kitchen")

@@ -1,4 +1,4 @@
-"""Demonstrations with a robot and a track of keypoints, as `encode` would have left them."""
+"""Demonstrations with a robot and a track, as made by `encode`."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ SIZE = (16, 24)
 
 
 def rotations(n: int) -> np.ndarray:
-    """Turns about z, one after the other."""
-    found = np.tile(np.eye(4), (n, 1, 1))
+    """Transforms (n, 4, 4) that rotate about z by 0 to 2 rad."""
+    transforms = np.tile(np.eye(4), (n, 1, 1))
     angle = np.linspace(0, 2, n)
-    found[:, 0, 0] = found[:, 1, 1] = np.cos(angle)
-    found[:, 1, 0] = np.sin(angle)
-    found[:, 0, 1] = -np.sin(angle)
-    return found
+    transforms[:, 0, 0] = transforms[:, 1, 1] = np.cos(angle)
+    transforms[:, 1, 0] = np.sin(angle)
+    transforms[:, 0, 1] = -np.sin(angle)
+    return transforms
 
 
 def picture(i: int, camera: str = "wrist") -> np.ndarray:
-    """A picture whose every number depends on the frame."""
+    """A picture that differs between frames and cameras."""
     v, u = np.mgrid[: SIZE[0], : SIZE[1]]
     blue = np.full(SIZE, 60 if camera == "wrist" else 200)
     return np.stack([100 + 60 * np.sin((u + i) / 4), 5 * v + 40, blue], axis=-1).astype(np.uint8)
 
 
 class Demo:
-    """What a demonstration holds; all of it can be changed before it is published."""
+    """Content of a demonstration and its track; tests may change it before it is published."""
 
     def __init__(self, seed: int = 0, n_frames: int = 12, cameras: Sequence[str] = ("wrist",)) -> None:
         rng = np.random.default_rng(seed)
@@ -108,7 +108,7 @@ def exported_dataset(root: Path) -> tuple[Dataset, dict[str, Demo]]:
 
 
 def state(demo: Demo) -> np.ndarray:
-    """What a policy observes, put together anew."""
+    """A policy's observation (t, s), computed independently of the export."""
     n = len(demo.mean)
     assert demo.robot is not None and demo.robot.world_from_gripper is not None
     gripper = demo.robot.world_from_gripper

@@ -1,4 +1,4 @@
-"""A format is added as the docstring of `bask_data/export/__init__.py` says, and nowhere else."""
+"""A format is added in the places listed in the docstring of `bask_data/export/__init__.py`, and no others."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_a_format_that_was_added_is_listed(extended: ExtendedPackage) -> None:
     assert "toy: lengths, one a line." in " ".join(shown.stdout.split())
 
 
-def test_a_format_that_was_added_is_written_told_and_replaced(extended: ExtendedPackage, encoded, tmp_path) -> None:
+def test_a_format_that_was_added_is_written_reported_and_replaced(extended: ExtendedPackage, encoded, tmp_path) -> None:
     out = tmp_path / "out"
     made = extended.command("export", "toy", encoded[0].root, out, "--json")
     assert made.returncode == 0, made.stderr

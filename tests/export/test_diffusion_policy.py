@@ -19,14 +19,14 @@ def folder(encoded, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_it_is_zarr_of_version_2_and_a_plain_reader_opens_it(folder: Path) -> None:
+def test_the_folder_is_zarr_v2_and_a_plain_reader_opens_it(folder: Path) -> None:
     assert (folder / ".zgroup").exists() and not list(folder.rglob("zarr.json"))
     root = zarr.open(str(folder), mode="r")
     assert root.metadata.zarr_format == 2
     assert set(root) == {"data", "meta"}
 
 
-def test_every_value_of_every_frame_comes_back(encoded, folder: Path) -> None:
+def test_every_value_of_every_frame_is_read_back(encoded, folder: Path) -> None:
     root = zarr.open(str(folder), mode="r")
     ends = root["meta/episode_ends"][:]
     assert (ends.tolist(), ends.dtype) == ([12, 21, 28], np.int64)
@@ -56,7 +56,7 @@ def test_arrays_name_their_values_and_units(folder: Path) -> None:
 
 
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=6), st.integers(1, 8))
-def test_frames_come_out_as_they_went_in_however_they_are_cut(lengths: list[int], chunk: int) -> None:
+def test_appended_frames_are_read_back_whatever_the_parts_and_chunks(lengths: list[int], chunk: int) -> None:
     frames = np.arange(sum(lengths) * 2, dtype=np.float32).reshape(-1, 2)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(diffusion_policy, "CHUNK_BYTES", 8 * chunk)

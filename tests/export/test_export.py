@@ -32,8 +32,8 @@ NAMES = {"parquet": "out", "lerobot": "out", "robomimic": "out.hdf5", "diffusion
 EACH_FORMAT = pytest.mark.parametrize("format", [format.name for format in FORMATS])
 
 
-def one(root: Path, demo: Demo) -> Dataset:
-    """A dataset of one demonstration."""
+def single(root: Path, demo: Demo) -> Dataset:
+    """A dataset with one demonstration."""
     dataset = Dataset.create(root)
     demo.publish(dataset, "a")
     return dataset
@@ -52,7 +52,7 @@ def bytes_below(path: Path) -> dict[str, bytes]:
     return {name: file.read_bytes() for name, file in files}
 
 
-def test_what_a_policy_observes_is_keypoints_their_spread_and_the_gripper(encoded) -> None:
+def test_a_policys_observation_is_keypoints_their_spread_and_the_gripper(encoded) -> None:
     dataset, demos = encoded
     episodes = Episodes(dataset, ExportSettings())
     names = [name for column in episodes.state for name in column.values]
@@ -66,7 +66,7 @@ def test_what_a_policy_observes_is_keypoints_their_spread_and_the_gripper(encode
         np.testing.assert_allclose(episode.state, state(demos[episode.entry.name]), rtol=1e-6)
 
 
-def test_third_axis_of_the_gripper_is_the_cross_product_of_the_two_that_are_written(encoded) -> None:
+def test_third_axis_of_the_gripper_is_the_cross_product_of_the_exported_two(encoded) -> None:
     dataset, demos = encoded
     for episode in Episodes(dataset, ExportSettings()):
         x_axis, y_axis = np.split(episode.values["gripper_rotation"], 2, axis=1)
@@ -81,12 +81,12 @@ def test_a_keypoint_is_observed_where_any_camera_observes_it(encoded) -> None:
         np.testing.assert_array_equal(episode.values["observed"], demo.observed["wrist"] | demo.observed["overhead"])
 
 
-def test_a_keypoint_that_is_lost_stays_where_it_was_and_is_marked(tmp_path: Path) -> None:
+def test_a_keypoint_that_is_not_localised_keeps_its_position_and_is_marked(tmp_path: Path) -> None:
     demo = Demo(0, 6)
     demo.mean[:2, 0] = np.nan
     demo.mean[4, 1] = np.nan
     demo.covariance[4, 1] = np.nan
-    dataset = one(tmp_path / "d", demo)
+    dataset = single(tmp_path / "d", demo)
     episodes = Episodes(dataset, ExportSettings())
     [episode] = episodes
     positions = episode.values["keypoints"].reshape(6, 2, 3)
@@ -96,19 +96,18 @@ def test_a_keypoint_that_is_lost_stays_where_it_was_and_is_marked(tmp_path: Path
     assert np.argwhere(~episode.values["localised"]).tolist() == [[0, 0], [1, 0], [4, 1]]
     assert not episode.values["observed"][~episode.values["localised"]].any()
     assert episode.values["spread"][4, 1] == episode.values["spread"][3, 1]
-    assert episodes.notes == ["a: 3 positions are kept from other frames, in which the keypoint was localised."]
+    assert episodes.notes == ["a: 3 positions are from other frames, as the keypoint was not localised."]
 
 
 @given(st.lists(st.booleans(), min_size=1).filter(any))
-def test_what_is_unknown_is_what_was_last_known_or_else_comes_first(known: list[bool]) -> None:
+def test_unknown_values_are_the_last_known_or_else_the_first_known_ones(known: list[bool]) -> None:
     values = np.arange(float(len(known)))
-    found = held(values[:, None], np.array(known)[:, None])[:, 0]
-    for i, value in enumerate(found):
+    for i, value in enumerate(held(values[:, None], np.array(known)[:, None])[:, 0]):
         before = [j for j in range(i + 1) if known[j]]
         assert value == (before[-1] if before else known.index(True))
 
 
-def test_noise_is_as_large_as_asked_the_same_for_a_seed_and_each_demonstrations_own(tmp_path: Path) -> None:
+def test_noise_has_the_requested_size_is_seeded_and_independent_between_demonstrations(tmp_path: Path) -> None:
     dataset = Dataset.create(tmp_path / "d")
     demos = {name: Demo(0, 400) for name in "ab"}
     for name, demo in demos.items():
@@ -133,7 +132,7 @@ def test_demonstrations_for_training_come_first_whatever_their_order(encoded) ->
     ]
 
 
-def test_the_task_is_what_the_source_says_or_what_is_given_or_the_datasets_name(encoded, tmp_path: Path) -> None:
+def test_the_task_is_the_option_or_the_sources_or_the_datasets_name(encoded, tmp_path: Path) -> None:
     dataset, _ = encoded
     assert [entry.task for entry in Episodes(dataset, ExportSettings()).entries] == [
         "put the lid on",
@@ -141,7 +140,7 @@ def test_the_task_is_what_the_source_says_or_what_is_given_or_the_datasets_name(
         "put the lid on",
     ]
     assert {entry.task for entry in Episodes(dataset, ExportSettings(task="cook")).entries} == {"cook"}
-    assert Episodes(one(tmp_path / "garden", Demo()), ExportSettings()).entries[0].task == "garden"
+    assert Episodes(single(tmp_path / "garden", Demo()), ExportSettings()).entries[0].task == "garden"
 
 
 @EACH_FORMAT
@@ -154,32 +153,35 @@ def test_the_same_demonstrations_give_the_same_bytes(encoded, tmp_path: Path, fo
 
 
 @EACH_FORMAT
-def test_every_format_says_what_its_numbers_mean(encoded, tmp_path: Path, format: str) -> None:
+def test_every_format_includes_a_description_of_its_values(encoded, tmp_path: Path, format: str) -> None:
     out = tmp_path / NAMES[format]
     export(encoded[0], out, format, ExportSettings(noise=0.02, seed=7, test=("c",)))
     if format == "robomimic":
         with h5py.File(out) as file:
-            said = json.loads(file["bask"].asstr()[()])
+            described = json.loads(file["bask"].asstr()[()])
     elif format == "diffusion-policy":
-        said = json.loads((out / ".zattrs").read_text())["bask"]
+        described = json.loads((out / ".zattrs").read_text())["bask"]
     else:
-        said = json.loads((out / "bask.json").read_text())
-    assert (said["format"], said["dataset"], said["licence"]) == (format, "kitchen", "CC0")
-    assert (said["noise"], said["seed"], said["keypoints"]) == (0.02, 7, KEYPOINTS)
-    assert said["splits"] == {"train": ["a", "b"], "validation": [], "test": ["c"]}
-    assert [(one["name"], one["n_frames"]) for one in said["episodes"]] == [("a", 12), ("b", 7), ("c", 9)]
-    assert [one["filter"] for one in said["episodes"]] == ["particle"] * 3
-    assert said["episodes"][0]["fps"] == pytest.approx(10.0)
-    assert {one["name"]: one["units"] for one in said["columns"]}["keypoints"] == "metre"
-    assert "world" in said["conventions"]
+        described = json.loads((out / "bask.json").read_text())
+    assert (described["format"], described["dataset"], described["licence"]) == (format, "kitchen", "CC0")
+    assert (described["noise"], described["seed"], described["keypoints"]) == (0.02, 7, KEYPOINTS)
+    assert described["splits"] == {"train": ["a", "b"], "validation": [], "test": ["c"]}
+    episodes = described["episodes"]
+    assert [(entry["name"], entry["n_frames"]) for entry in episodes] == [("a", 12), ("b", 7), ("c", 9)]
+    assert [entry["filter"] for entry in episodes] == ["particle"] * 3
+    assert episodes[0]["fps"] == pytest.approx(10.0)
+    assert {column["name"]: column["units"] for column in described["columns"]}["keypoints"] == "metre"
+    assert "world" in described["conventions"]
 
 
 @EACH_FORMAT
-def test_what_is_there_is_kept_unless_replacing_it_is_asked_for(encoded, tmp_path: Path, format: str) -> None:
+def test_an_existing_export_is_replaced_only_with_force(encoded, tmp_path: Path, format: str) -> None:
     dataset, out = encoded[0], tmp_path / NAMES[format]
     export(dataset, out, format, ExportSettings())
     before = bytes_below(out)
-    with pytest.raises(WouldOverwrite, match=r"expected nothing, got something.  fix: --force replaces an export\."):
+    with pytest.raises(
+        WouldOverwrite, match=r"expected a new path, got one that exists.  fix: --force replaces an export\."
+    ):
         export(dataset, out, format, ExportSettings(only=("a",)))
     assert bytes_below(out) == before
     export(dataset, out, format, ExportSettings(only=("a",)), force=True)
@@ -235,7 +237,7 @@ def test_a_file_that_only_links_to_an_export_is_not_replaced(encoded, tmp_path: 
 
 @pytest.mark.parametrize("name", [".zattrs", "bask.json"])
 @pytest.mark.parametrize("text", ["5", '["bask"]', '{"bask": 5}', '{"bask": {}}', "{", ""])
-def test_a_folder_that_says_something_else_is_not_replaced(encoded, tmp_path: Path, name: str, text: str) -> None:
+def test_a_folder_with_another_description_is_not_replaced(encoded, tmp_path: Path, name: str, text: str) -> None:
     out = tmp_path / "own"
     out.mkdir()
     (out / name).write_text(text)
@@ -244,12 +246,12 @@ def test_a_folder_that_says_something_else_is_not_replaced(encoded, tmp_path: Pa
     assert (out / name).read_text() == text
 
 
-def test_a_place_within_the_dataset_or_around_it_is_refused(encoded, tmp_path: Path) -> None:
+def test_a_path_inside_the_dataset_or_above_it_is_refused(encoded, tmp_path: Path) -> None:
     root = encoded[0].root
     (tmp_path / "way").symlink_to(root)
     before = [name for name, _ in list_files(root)]
     for out in (root, root / "keypoints" / "out", root.parent, tmp_path / "way" / "out", root / ".." / root.name / "x"):
-        with pytest.raises(UsageError, match="OUT: expected a place outside of the dataset, got one that shares"):
+        with pytest.raises(UsageError, match="OUT: expected a path outside the dataset, got one that overlaps"):
             export(encoded[0], out, "parquet", ExportSettings(), force=True)
     assert cli("export", "parquet", root, root / "out").exit_code == 2
     assert [name for name, _ in list_files(root)] == before
@@ -257,7 +259,7 @@ def test_a_place_within_the_dataset_or_around_it_is_refused(encoded, tmp_path: P
 
 
 @EACH_FORMAT
-def test_an_export_that_breaks_off_leaves_what_was_there(
+def test_an_interrupted_export_leaves_the_previous_one(
     encoded, tmp_path: Path, format: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / NAMES[format]
@@ -274,22 +276,22 @@ def test_an_export_that_breaks_off_leaves_what_was_there(
     assert [file.name for file in tmp_path.iterdir()] == [NAMES[format]]
 
 
-def test_a_full_disk_is_told(encoded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_reported(encoded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(pq, "write_table", refuse)
-    with pytest.raises(BaskError, match="expected a place that takes all, got .*No space left on device"):
+    with pytest.raises(BaskError, match="expected a writable location, got .*No space left on device"):
         export(encoded[0], tmp_path / "out", "parquet", ExportSettings())
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_robomimic_file_has_the_name_of_one(encoded, tmp_path: Path) -> None:
+def test_a_robomimic_file_has_a_suffix_of_hdf5(encoded, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"OUT: expected a name that ends in .hdf5 or .h5, got out\.zip"):
         export(encoded[0], tmp_path / "out.zip", "robomimic", ExportSettings())
 
 
-def test_without_h5py_the_line_that_brings_it_is_named(
+def test_without_h5py_the_command_that_installs_it_is_named(
     encoded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
@@ -303,12 +305,12 @@ def test_without_h5py_the_line_that_brings_it_is_named(
         ({"only": ("x",)}, "--only: expected one of a, b, c, got x"),
         ({"validation": ("x",)}, "--validation: expected one of a, b, c, got x"),
         ({"test": ("x", "a")}, "--test: expected one of a, b, c, got x"),
-        ({"test": ("a", "b"), "validation": ("b",)}, "--test: expected others than --validation, got b"),
+        ({"test": ("a", "b"), "validation": ("b",)}, "--test: expected no demonstrations of --validation, got b"),
         ({"noise": -0.1}, "--noise: expected 0 metres or more, got -0.1"),
         ({"noise": float("nan")}, "--noise: expected 0 metres or more, got nan"),
     ],
 )
-def test_options_that_mean_nothing_are_refused(encoded, choice: dict[str, object], complaint: str) -> None:
+def test_invalid_options_are_refused(encoded, choice: dict[str, object], complaint: str) -> None:
     with pytest.raises(UsageError, match=complaint):
         Episodes(encoded[0], ExportSettings(**choice))
 
@@ -318,23 +320,23 @@ def test_a_dataset_without_demonstrations_has_nothing_to_export(tmp_path: Path) 
         Episodes(Dataset.create(tmp_path / "d"), ExportSettings())
 
 
-def test_a_demonstration_that_is_not_encoded_names_the_command_that_does_it(encoded) -> None:
+def test_a_demonstration_without_keypoints_names_the_command_that_makes_them(encoded) -> None:
     with pytest.raises(
         BadData, match=r"expected keypoints of the demonstration, got none.  fix: bask-data encode .* -"
     ):
         Episodes(encoded[0], ExportSettings(variant="sharp"))
 
 
-def test_a_track_of_other_frames_is_refused(tmp_path: Path) -> None:
+def test_a_track_with_another_number_of_frames_is_refused(tmp_path: Path) -> None:
     demo = Demo(0, 6)
-    dataset = one(tmp_path / "d", demo)
+    dataset = single(tmp_path / "d", demo)
     Demo(0, 5).publish_track(dataset, "a")
     with pytest.raises(BadData, match="mean: expected 6 frames, as camera wrist has, got 5"):
         Episodes(dataset, ExportSettings())
 
 
-def test_a_track_that_has_lost_a_file_is_refused(tmp_path: Path) -> None:
-    dataset = one(tmp_path / "d", Demo())
+def test_a_track_with_a_missing_file_is_refused(tmp_path: Path) -> None:
+    dataset = single(tmp_path / "d", Demo())
     next(path for path in dataset.path(KeypointTrack, "a").glob("mean/c/**/*") if path.is_file()).unlink()
     with pytest.raises(BadData, match="expected the file, got none"):
         Episodes(dataset, ExportSettings())
@@ -343,52 +345,54 @@ def test_a_track_that_has_lost_a_file_is_refused(tmp_path: Path) -> None:
 def test_a_keypoint_that_is_never_localised_is_refused(tmp_path: Path) -> None:
     demo = Demo(0, 6)
     demo.mean[:, 1] = np.nan
-    with pytest.raises(BadData, match="lid: expected a place in at least one frame, got none in any"):
-        list(Episodes(one(tmp_path / "d", demo), ExportSettings()))
+    with pytest.raises(BadData, match="lid: expected a position in at least one frame, got none in any"):
+        list(Episodes(single(tmp_path / "d", demo), ExportSettings()))
 
 
-def test_a_number_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_an_action_that_is_not_finite_is_refused(tmp_path: Path) -> None:
     demo = Demo(0, 6)
     demo.robot.action[3, 2] = np.nan
-    with pytest.raises(BadData, match="action: expected finite numbers, got NaN or infinity"):
-        list(Episodes(one(tmp_path / "d", demo), ExportSettings()))
+    with pytest.raises(BadData, match="action: expected finite numbers, got NaN or infinity.  fix: ingest"):
+        list(Episodes(single(tmp_path / "d", demo), ExportSettings()))
 
 
-def test_a_robot_of_other_frames_is_refused(tmp_path: Path) -> None:
+def test_a_robot_with_another_number_of_frames_is_refused(tmp_path: Path) -> None:
     demo, short = Demo(0, 6), Demo(0, 5).robot
     demo.robot = Robot(short.world_from_gripper, short.gripper_width, short.action, short.action_names)
     with pytest.raises(BadData, match="gripper_position: expected 6 frames, as the cameras have, got 5"):
-        list(Episodes(one(tmp_path / "d", demo), ExportSettings()))
+        list(Episodes(single(tmp_path / "d", demo), ExportSettings()))
 
 
-def test_times_that_do_not_grow_are_refused(tmp_path: Path) -> None:
+def test_times_that_do_not_increase_are_refused(tmp_path: Path) -> None:
     demo = Demo(0, 6)
     demo.time[3] = demo.time[2]
-    with pytest.raises(BadData, match="time: expected each frame later than the one before, got times that are not"):
-        Episodes(one(tmp_path / "d", demo), ExportSettings())
+    with pytest.raises(
+        BadData, match="time: expected times that increase with the frames, got 5.2 s after 5.2 s at frame 3"
+    ):
+        Episodes(single(tmp_path / "d", demo), ExportSettings())
 
 
-def test_one_frame_has_no_rate(tmp_path: Path) -> None:
+def test_a_single_frame_has_no_rate(tmp_path: Path) -> None:
     with pytest.raises(BadData, match="time: expected two frames or more, got 1"):
-        Episodes(one(tmp_path / "d", Demo(0, 1)), ExportSettings())
+        Episodes(single(tmp_path / "d", Demo(0, 1)), ExportSettings())
 
 
-def test_a_pause_is_told(tmp_path: Path) -> None:
+def test_a_gap_is_noted(tmp_path: Path) -> None:
     demo = Demo(0, 8)
     demo.time[4:] += 2.0
-    done = export(one(tmp_path / "d", demo), tmp_path / "out", "parquet", ExportSettings())
+    done = export(single(tmp_path / "d", demo), tmp_path / "out", "parquet", ExportSettings())
     [note] = done.notes
-    assert note.startswith("a: 1 times between frames are longer than one and a half of the usual 0.1 s")
+    assert note.startswith("a: 1 intervals between frames exceed 1.5 times the median of 0.1 s")
 
 
-def test_what_is_held_out_but_not_chosen_is_told(encoded, tmp_path: Path) -> None:
+def test_held_out_demonstrations_that_are_not_exported_are_noted(encoded, tmp_path: Path) -> None:
     choice = ExportSettings(only=("a", "b"), validation=("b", "c"), test=("a",))
     assert export(encoded[0], tmp_path / "out", "parquet", choice).notes == [
         "--validation c: left out, because --only does not name it."
     ]
 
 
-def test_different_filters_are_told_and_named_with_each_demonstration(tmp_path: Path) -> None:
+def test_different_filters_are_noted_and_recorded_with_each_demonstration(tmp_path: Path) -> None:
     dataset = Dataset.create(tmp_path / "d")
     for i, name in enumerate("abc"):
         demo = Demo(i)
@@ -396,8 +400,8 @@ def test_different_filters_are_told_and_named_with_each_demonstration(tmp_path: 
         demo.publish(dataset, name)
     done = export(dataset, tmp_path / "out", "parquet", ExportSettings())
     assert done.notes == ["the keypoints are of different filters: particle: a, c; discrete: b."]
-    said = json.loads((tmp_path / "out" / "bask.json").read_text())
-    assert [one["filter"] for one in said["episodes"]] == ["particle", "discrete", "particle"]
+    described = json.loads((tmp_path / "out" / "bask.json").read_text())
+    assert [entry["filter"] for entry in described["episodes"]] == ["particle", "discrete", "particle"]
     assert pq.read_table(tmp_path / "out" / "episodes.parquet")["filter"].to_pylist() == [
         *("particle", "discrete", "particle")
     ]
@@ -405,12 +409,12 @@ def test_different_filters_are_told_and_named_with_each_demonstration(tmp_path: 
 
 
 def put_input(dataset: Dataset, kind: type[Artifact], content: str) -> None:
-    """A network or a reference; nothing here looks into it."""
+    """Publish a network or a reference whose content is not read."""
     publish_artifact(dataset, kind, "", lambda out: (out / "content").write_text(content))
 
 
 def encode_as_now(dataset: Dataset, item: str, demo: Demo) -> None:
-    """A track that is up to date, but for what was in it before `encode` knew it."""
+    """Publish a track whose manifest says that it is up to date."""
     [task] = plan(dataset, encode, only=(item,))
     demo.publish_track(dataset, item)
     parts, path = key_parts(task), dataset.path(KeypointTrack, item)
@@ -437,7 +441,7 @@ def tracked(tmp_path: Path) -> tuple[Dataset, dict[str, Demo]]:
     return dataset, demos
 
 
-def test_keypoints_that_are_not_up_to_date_are_told(tracked, tmp_path: Path) -> None:
+def test_stale_keypoints_are_noted(tracked, tmp_path: Path) -> None:
     dataset, demos = tracked
 
     def notes(out: str) -> list[str]:
@@ -456,7 +460,7 @@ def test_keypoints_that_are_not_up_to_date_are_told(tracked, tmp_path: Path) -> 
     ]
     (dataset.root / "params.yaml").write_text("- encode\n")
     [note] = notes("broken")
-    assert note.startswith("whether the keypoints are up to date cannot be told: ") and "sections named" in note
+    assert note.startswith("cannot check whether the keypoints are up to date: ") and "sections named" in note
     (dataset.root / "params.yaml").unlink()
     shutil.rmtree(dataset.path(ReferenceKeypoints))
     [note] = notes("gone")
@@ -468,7 +472,7 @@ def test_keypoints_of_different_references_are_refused(tracked) -> None:
     put_input(dataset, ReferenceKeypoints, "second")
     assert len(Episodes(dataset, ExportSettings())) == 2
     encode_as_now(dataset, "b", demos["b"])
-    complaint = r"reference: expected [0-9a-f]{12}, as a was tracked by, got [0-9a-f]{12}\.  fix: bask-data encode"
+    complaint = r"reference: expected [0-9a-f]{12}, as for a, got [0-9a-f]{12}\.  fix: bask-data encode"
     with pytest.raises(BadData, match=complaint):
         Episodes(dataset, ExportSettings())
     assert len(Episodes(dataset, ExportSettings(only=("b",)))) == 1
@@ -504,14 +508,14 @@ def differing(root: Path, change: str) -> Dataset:
         ("sizes", "cameras: expected wrist 24x16, as a has, got wrist 8x8"),
     ],
 )
-def test_demonstrations_that_do_not_fit_together_are_refused(tmp_path: Path, change: str, complaint: str) -> None:
+def test_inconsistent_demonstrations_are_refused(tmp_path: Path, change: str, complaint: str) -> None:
     dataset = differing(tmp_path / "d", change)
     with pytest.raises(BadData, match=complaint):
         Episodes(dataset, ExportSettings(videos=True))
     assert len(Episodes(dataset, ExportSettings(only=("b",)))) == 1
 
 
-def test_a_robot_that_only_later_demonstrations_have_is_refused(tmp_path: Path) -> None:
+def test_a_robot_only_in_later_demonstrations_is_refused(tmp_path: Path) -> None:
     dataset = differing(tmp_path / "d", "no robot")
     with pytest.raises(BadData, match="gripper_position: expected none, as b has none, got some"):
         Episodes(dataset, ExportSettings(validation=("a",)))
@@ -521,8 +525,11 @@ def test_a_robot_that_only_later_demonstrations_have_is_refused(tmp_path: Path) 
 def test_without_actions_there_is_no_policy_to_learn(tmp_path: Path, format: str) -> None:
     demo = Demo()
     demo.robot = None
-    with pytest.raises(BadData, match="robot/action: expected a record of it, got none"):
-        export(one(tmp_path / "d", demo), tmp_path / NAMES[format], format, ExportSettings())
+    with pytest.raises(
+        BadData,
+        match="robot/action: expected the robot's action, got none.  fix: record the robot's action, or export to p",
+    ):
+        export(single(tmp_path / "d", demo), tmp_path / NAMES[format], format, ExportSettings())
 
 
 @EACH_FORMAT
@@ -532,11 +539,11 @@ def test_few_images_are_in_memory_at_a_time(tmp_path: Path, format: str, monkeyp
     def counted(self: Camera, i_frame: int) -> np.ndarray:
         nonlocal alive, most
         image = read(self, i_frame).copy()
-        alive = [one for one in [*alive, weakref.ref(image)] if one() is not None]
+        alive = [ref for ref in [*alive, weakref.ref(image)] if ref() is not None]
         most = max(most, len(alive))
         return image
 
-    dataset = one(tmp_path / "d", Demo(0, 90))
+    dataset = single(tmp_path / "d", Demo(0, 90))
     monkeypatch.setattr(Camera, "rgb", counted)
     export(dataset, tmp_path / NAMES[format], format, ExportSettings(videos=True))
     assert 1 <= most <= 34
@@ -546,21 +553,21 @@ def test_one_demonstration_is_in_memory_at_a_time(encoded) -> None:
     alive: list[weakref.ref] = []
     for episode in Episodes(encoded[0], ExportSettings()):
         alive.append(weakref.ref(episode.values["keypoints"]))
-        assert [one() is not None for one in alive] == [False] * (len(alive) - 1) + [True]
+        assert [ref() is not None for ref in alive] == [False] * (len(alive) - 1) + [True]
         del episode
     assert len(alive) == 3
 
 
-def test_what_a_killed_export_left_is_cleared_away(encoded, tmp_path: Path) -> None:
+def test_scratch_of_a_killed_export_is_removed(encoded, tmp_path: Path) -> None:
     left = tmp_path / ".scratch" / f"export~{socket.gethostname()}~999999999~0"
     left.mkdir(parents=True)
     export(encoded[0], tmp_path / "out", "parquet", ExportSettings())
     assert [file.name for file in tmp_path.iterdir()] == ["out"]
 
 
-def test_a_place_where_nothing_can_be_written_is_told(encoded, tmp_path: Path) -> None:
+def test_an_unwritable_location_is_reported(encoded, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(BaskError, match="expected a place that takes all, got .*exists"):
+    with pytest.raises(BaskError, match="expected a writable location, got .*exists"):
         export(encoded[0], tmp_path / "file" / "out", "parquet", ExportSettings())
 
 
@@ -568,16 +575,16 @@ def cli(*arguments: object) -> Result:
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
-def test_the_command_writes_tells_and_stops_at_what_is_there(encoded, tmp_path: Path) -> None:
+def test_the_command_writes_reports_and_refuses_an_existing_path(encoded, tmp_path: Path) -> None:
     dataset, _ = encoded
     out = tmp_path / "kitchen.hdf5"
     done = cli("export", "robomimic", dataset.root, out, "--noise", "0.02", "--validation", "b", "--json")
     assert done.exit_code == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["command"] == "export"
-    assert told["splits"] == {"train": ["a", "c"], "validation": ["b"], "test": []}
-    assert told["n_bytes"] == out.stat().st_size
-    assert told["columns"]["keypoints"] == 6
+    summary = json.loads(done.stdout)
+    assert summary["command"] == "export"
+    assert summary["splits"] == {"train": ["a", "c"], "validation": ["b"], "test": []}
+    assert summary["n_bytes"] == out.stat().st_size
+    assert summary["columns"]["keypoints"] == 6
     assert "made " in done.stderr and "2 for train, 1 for validation; 28 frames" in done.stderr
     assert "next: python -m robomimic.scripts.get_dataset_info" in done.stderr
     assert cli("export", "robomimic", dataset.root, out).exit_code == 3

@@ -40,7 +40,7 @@ def frames_table(folder: Path) -> dict[str, np.ndarray]:
     return {name: np.array(table[name].to_pylist()) for name in table.column_names}
 
 
-def test_every_value_of_every_frame_comes_back(encoded, folder: Path) -> None:
+def test_every_value_of_every_frame_is_read_back(encoded, folder: Path) -> None:
     values, demos = frames_table(folder), [encoded[1][name] for name in ORDER]
     lengths = [len(demo.mean) for demo in demos]
     np.testing.assert_allclose(values["observation.state"], np.concatenate([state(d) for d in demos]), rtol=1e-6)
@@ -57,7 +57,7 @@ def test_every_value_of_every_frame_comes_back(encoded, folder: Path) -> None:
     np.testing.assert_array_equal(values["task_index"], np.repeat([0, 0, 1], lengths))
 
 
-def test_the_whole_is_described(folder: Path) -> None:
+def test_the_dataset_is_described(folder: Path) -> None:
     info = meta(folder)
     assert (info["codebase_version"], info["fps"]) == ("v3.0", 10)
     assert (info["total_episodes"], info["total_frames"], info["total_tasks"]) == (3, 28, 2)
@@ -68,12 +68,12 @@ def test_the_whole_is_described(folder: Path) -> None:
     assert features["action"]["names"] == ["dx", "dy", "dz", "width"]
     assert (features[KEY]["dtype"], features[KEY]["shape"]) == ("video", [16, 24, 3])
     assert features["timestamp"] == {"dtype": "float32", "shape": [1], "names": None}
-    # What begins with `observation` would be taken for a policy's input.
+    # LeRobot takes every feature named `observation...` as a policy's input.
     seen = {name for name in features if name.startswith("observation.") and "images" not in name}
     assert seen == {"observation.state", "observation.environment_state"}
 
 
-def test_episodes_say_where_they_are(folder: Path) -> None:
+def test_episodes_state_their_positions_in_files(folder: Path) -> None:
     rows = episodes(folder)
     assert [row["length"] for row in rows] == [12, 9, 7]
     assert [(row["dataset_from_index"], row["dataset_to_index"]) for row in rows] == [(0, 12), (12, 21), (21, 28)]
@@ -93,7 +93,7 @@ def test_one_video_holds_all_episodes_one_after_the_other(folder: Path) -> None:
     assert [frame.key_frame for frame in frames] == [True, False] * 14
 
 
-def test_files_that_have_grown_are_ended_with_their_episode(
+def test_files_that_reach_their_size_end_after_the_episode(
     encoded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(lerobot, "DATA_BYTES", 1)
@@ -112,7 +112,7 @@ def test_files_that_have_grown_are_ended_with_their_episode(
             assert len(list(container.decode(video=0))) == n
 
 
-def test_statistics_of_numbers_are_theirs() -> None:
+def test_statistics_of_values_agree_with_numpy() -> None:
     values = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
     found = vector_stats(values)
     np.testing.assert_allclose(found["mean"], values.mean(axis=0), rtol=1e-5)
@@ -123,7 +123,7 @@ def test_statistics_of_numbers_are_theirs() -> None:
     assert vector_stats(np.arange(4))["mean"] == [1.5]
 
 
-def test_statistics_of_images_are_those_of_their_channels() -> None:
+def test_statistics_of_images_agree_with_numpy() -> None:
     images = np.random.default_rng(0).integers(3, 250, (4, 8, 9, 3), dtype=np.uint8)
     counts = np.array([np.bincount(images[..., i].ravel(), minlength=256) for i in range(3)])
     found, shares = image_stats(counts, 4), images.reshape(-1, 3) / 255
@@ -142,12 +142,12 @@ def test_statistics_of_parts_are_merged_to_those_of_the_whole() -> None:
     merged, whole = merged_stats([vector_stats(part) for part in parts]), vector_stats(np.concatenate(parts))
     for name in ("mean", "std", "min", "max", "count"):
         np.testing.assert_allclose(merged[name], whole[name])
-    # LeRobot's own way: quantiles of the parts, by their lengths.
+    # As in LeRobot: quantiles of the parts, averaged by their lengths.
     averaged = np.average([np.quantile(part, 0.5, axis=0) for part in parts], axis=0, weights=[20, 40, 60])
     np.testing.assert_allclose(merged["q50"], averaged)
 
 
-def test_statistics_cover_all_that_a_policy_takes(folder: Path) -> None:
+def test_statistics_cover_a_policys_inputs_and_outputs(folder: Path) -> None:
     stats, rows = meta(folder, "stats"), episodes(folder)
     values = frames_table(folder)
     for name in ("observation.state", "action"):
@@ -167,15 +167,15 @@ def with_rate(root: Path, **rates: float) -> Dataset:
     return dataset
 
 
-def test_a_rate_that_is_nearly_whole_is_meant_to_be(tmp_path: Path) -> None:
+def test_a_rate_close_to_an_integer_is_rounded(tmp_path: Path) -> None:
     done = export(with_rate(tmp_path / "d", a=29.94, b=30.02), tmp_path / "out", "lerobot", ExportSettings())
     assert (meta(tmp_path / "out")["fps"], done.notes) == (30, [])
 
 
-def test_a_rate_that_is_not_whole_is_kept_and_told(tmp_path: Path) -> None:
+def test_a_rate_that_is_not_an_integer_is_kept_and_noted(tmp_path: Path) -> None:
     done = export(with_rate(tmp_path / "d", a=12.5), tmp_path / "out", "lerobot", ExportSettings(videos=True))
     assert meta(tmp_path / "out")["fps"] == 12.5
-    assert done.notes == ["12.500 frames per second is no whole number, as some of LeRobot's tools expect."]
+    assert done.notes == ["the rate of 12.500 frames per second is not an integer; some LeRobot tools need one."]
 
 
 def test_demonstrations_of_different_rates_are_refused(tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_demonstrations_of_different_rates_are_refused(tmp_path: Path) -> None:
         export(with_rate(tmp_path / "d", a=10, b=15), tmp_path / "out", "lerobot", ExportSettings())
 
 
-def test_without_videos_and_actions_there_are_none(tmp_path: Path) -> None:
+def test_an_export_without_videos_and_actions_has_none(tmp_path: Path) -> None:
     dataset, demo = Dataset.create(tmp_path / "d"), Demo()
     demo.robot = None
     demo.publish(dataset, "a")
@@ -230,7 +230,7 @@ np.savez(to, **found)
 
 
 @pytest.mark.skipif("BASK_DATA_LEROBOT" not in os.environ, reason="BASK_DATA_LEROBOT names no Python with lerobot")
-def test_lerobot_itself_loads_every_value_and_a_policy_takes_it(encoded, folder: Path, tmp_path: Path) -> None:
+def test_lerobot_loads_every_value_and_a_policy_accepts_it(encoded, folder: Path, tmp_path: Path) -> None:
     command = [os.environ["BASK_DATA_LEROBOT"], "-c", READER, str(folder), str(tmp_path / "read.npz")]
     environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "home"), "CUDA_VISIBLE_DEVICES": ""}
     ended = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=500)

@@ -24,7 +24,7 @@ def column(table: pa.Table, name: str) -> np.ndarray:
     return np.array(table[name].to_pylist())
 
 
-def test_every_value_of_every_frame_comes_back(encoded, folder: Path) -> None:
+def test_every_value_of_every_frame_is_read_back(encoded, folder: Path) -> None:
     table = pq.read_table(folder / "frames.parquet")
     at = 0
     for name, split in (("a", "train"), ("c", "train"), ("b", "validation")):

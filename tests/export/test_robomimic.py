@@ -19,7 +19,7 @@ def file(encoded, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_every_value_of_every_frame_comes_back(encoded, file: Path) -> None:
+def test_every_value_of_every_frame_is_read_back(encoded, file: Path) -> None:
     with h5py.File(file) as read:
         assert sorted(read["data"]) == ["demo_0", "demo_1", "demo_2"]
         for i, name in enumerate(("c", "a", "b")):
@@ -42,7 +42,7 @@ def test_every_value_of_every_frame_comes_back(encoded, file: Path) -> None:
                 np.testing.assert_array_equal(obs[f"{camera}_image"], images)
 
 
-def test_a_demonstration_ends_with_its_only_reward(file: Path) -> None:
+def test_a_demonstrations_only_reward_is_in_its_last_frame(file: Path) -> None:
     with h5py.File(file) as read:
         for group in read["data"].values():
             n = group.attrs["num_samples"]
@@ -52,30 +52,30 @@ def test_a_demonstration_ends_with_its_only_reward(file: Path) -> None:
 
 def test_splits_are_lists_of_names_as_robomimic_decodes_them(file: Path) -> None:
     with h5py.File(file) as read:
-        masks = {name: [one.decode("utf-8") for one in np.array(read[f"mask/{name}"][:])] for name in read["mask"]}
+        masks = {name: [text.decode("utf-8") for text in np.array(read[f"mask/{name}"][:])] for name in read["mask"]}
     assert masks == {"train": ["demo_0"], "valid": ["demo_1"], "test": ["demo_2"]}
 
 
-def test_the_whole_says_how_much_it_is_and_that_there_is_no_environment(file: Path) -> None:
+def test_the_file_states_its_number_of_frames_and_no_environment(file: Path) -> None:
     with h5py.File(file) as read:
         assert read["data"].attrs["total"] == 28
         environment = json.loads(read["data"].attrs["env_args"])
         assert (environment["env_name"], environment["type"], environment["env_kwargs"]) == ("kitchen", 2, {})
-        assert [one.decode() for one in read["data/demo_0/actions"].attrs["values"]] == list(ACTIONS)
+        assert [name.decode() for name in read["data/demo_0/actions"].attrs["values"]] == list(ACTIONS)
         assert read["data/demo_0/obs/spread"].attrs["units"] == "metre"
 
 
-def test_what_robomimic_reads_is_numbers_of_32_bits_or_images(file: Path) -> None:
+def test_observations_are_32_bit_floats_or_images(file: Path) -> None:
     with h5py.File(file) as read:
         kinds = {name: values.dtype for name, values in read["data/demo_0/obs"].items()}
     assert {name for name, dtype in kinds.items() if dtype == np.uint8} == {"wrist_image", "overhead_image"}
     assert {dtype for name, dtype in kinds.items() if not name.endswith("_image")} == {np.dtype(np.float32)}
 
 
-def test_actions_that_robomimic_takes_for_too_large_are_told(tmp_path: Path) -> None:
+def test_actions_out_of_robomimics_range_are_noted(tmp_path: Path) -> None:
     dataset, demo = Dataset.create(tmp_path / "d"), Demo()
     demo.robot.action[2, 1] = -3.5
     demo.publish(dataset, "a")
     assert export(dataset, tmp_path / "out.hdf5", "robomimic", ExportSettings()).notes == [
-        "robomimic wants actions from -1 to 1; the largest is 3.5."
+        "robomimic expects actions from -1 to 1; the largest magnitude is 3.5."
     ]
