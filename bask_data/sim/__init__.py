@@ -1,1 +1,1 @@
-"""A small simulated tabletop: recordings of which everything is known, to hold the stages against."""
+"""A small simulated tabletop: recordings with exact ground truth for evaluating the stages."""

@@ -1,4 +1,4 @@
-"""What real sensors do to exact depth and exact poses. It goes into the recording, never into the truth."""
+"""Defects of real sensors in depth and poses. They are applied to the recording, never to ground truth."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from bask_data.sim.options import SimOptions
 from bask_data.sim.rendering import RenderedView
 
 DEPTH_SCALE = 1e-4
-"""Metres per unit of stored depth: 0.1 mm, and 6.5 m at most."""
+"""Metres per unit of stored depth: steps of 0.1 mm, up to 6.5 m."""
 
 FLOOR = 0.001
-"""Metres of noise at no distance at all, where there is any noise. Chosen."""
+"""Part of the depth noise that does not depend on depth, metres. Chosen."""
 
 DEPTH_EDGE = 0.02
-"""Metres between neighbouring pixels that make a depth edge, where cameras give mixed depths. Chosen; sensitivity not
-measured."""
+"""Depth difference, metres, between neighbouring pixels at a depth edge, where flying pixels occur. Chosen; sensitivity
+not measured."""
 
 POSE_NOISE_M, POSE_NOISE_DEG = 0.002, 0.2
-"""Standard deviations of the error of a camera's pose at `--pose-noise 1`, along and about each axis, metres and
-degrees. Chosen."""
+"""Standard deviations of the error of a camera's pose at `--pose-noise 1`, metres along and degrees about each axis.
+Chosen."""
 
 
 def stored(depth: Float32[ndarray, "h w"]) -> UInt16[ndarray, "h w"]:
-    """Depth in units of `DEPTH_SCALE`; what is too far for 16 bits has none."""
+    """Depth in units of `DEPTH_SCALE`; 0 where it is too large for 16 bits."""
     units = np.rint(depth / np.float32(DEPTH_SCALE))
     return np.where((units > 0) & (units < 65536), units, 0).astype(np.uint16)
 
@@ -35,7 +35,7 @@ def stored(depth: Float32[ndarray, "h w"]) -> UInt16[ndarray, "h w"]:
 def measured(
     view: RenderedView, K: Float[ndarray, "3 3"], options: SimOptions, rng: np.random.Generator
 ) -> Float32[ndarray, "h w"]:
-    """What the camera's sensor makes of a view; 0 where it measures nothing."""
+    """z-depth of a view as measured by a sensor, metres; 0 where it has no measurement."""
     depth = view.depth
     if options.flying:
         depth = with_flying_pixels(depth, options.flying, rng)
@@ -51,7 +51,7 @@ def measured(
 def depth_edges(
     depth: Float32[ndarray, "h w"],
 ) -> tuple[Bool[ndarray, "h w"], Float32[ndarray, "h w"], Float32[ndarray, "h w"]]:
-    """Pixels at depth edges, and the nearest and farthest depth beside each pixel."""
+    """Pixels at depth edges, and the smallest and largest depth around each pixel, metres."""
     kernel = np.ones((3, 3), dtype=np.uint8)
     near = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), kernel)
     far = cv2.dilate(depth, kernel)
@@ -61,7 +61,7 @@ def depth_edges(
 def with_flying_pixels(
     depth: Float32[ndarray, "h w"], share: float, rng: np.random.Generator
 ) -> Float32[ndarray, "h w"]:
-    """The same depth, but some pixels at edges lie anywhere between front and back."""
+    """Depth, metres, with a share of the pixels at edges at random between foreground and background."""
     edges, near, far = depth_edges(depth)
     flies = edges & (rng.random(depth.shape) < share)
     near = np.where(edges, near, 0)
@@ -70,19 +70,19 @@ def with_flying_pixels(
 
 
 def holes(view: RenderedView, K: Float[ndarray, "3 3"], share: float, rng: np.random.Generator) -> Bool[ndarray, "h w"]:
-    """Patches without depth, `share` of what is there: rather on grazed surfaces, and most on glass."""
+    """Pixels of patches without depth, a share of those with depth: mostly at grazing angles and on glass."""
     height, width = view.depth.shape
     cells = rng.random((height // 12 + 2, width // 12 + 2)).astype(np.float32)
     patches = cv2.resize(cells, (width, height), interpolation=cv2.INTER_CUBIC)
     score = patches + 0.8 * grazing(view.depth, K) ** 3 + 0.6 * view.is_glass
-    there = view.depth > 0
-    if not there.any():
-        return np.zeros_like(there)
-    return there & (score > np.quantile(score[there], 1 - share))
+    has_depth = view.depth > 0
+    if not has_depth.any():
+        return np.zeros_like(has_depth)
+    return has_depth & (score > np.quantile(score[has_depth], 1 - share))
 
 
 def grazing(depth: Float32[ndarray, "h w"], K: Float[ndarray, "3 3"]) -> Float[ndarray, "h w"]:
-    """0 where a surface faces the camera, 1 where it is seen edge on."""
+    """Grazing of each pixel's surface: 0 facing the camera, 1 edge-on."""
     points = unproject(pixel_grid(*depth.shape), depth.astype(np.float64), K)
     normals = np.cross(_smaller_step(points, 1), _smaller_step(points, 0))
     lengths = np.linalg.norm(normals, axis=-1) * np.linalg.norm(points, axis=-1)
@@ -90,7 +90,7 @@ def grazing(depth: Float32[ndarray, "h w"], K: Float[ndarray, "3 3"]) -> Float[n
 
 
 def _smaller_step(points: Float[ndarray, "h w 3"], axis: int) -> Float[ndarray, "h w 3"]:
-    """To the neighbour along an axis, on the side that lies nearer: a step across a depth edge is no slope."""
+    """Step to the neighbour along an axis with the smaller depth difference, which does not cross a depth edge."""
     steps = np.diff(points, axis=axis)
     first, last = (np.take(steps, [i], axis=axis) for i in (0, -1))
     before, after = np.concatenate([first, steps], axis=axis), np.concatenate([steps, last], axis=axis)
@@ -100,10 +100,10 @@ def _smaller_step(points: Float[ndarray, "h w 3"], axis: int) -> Float[ndarray, 
 def noisy_poses(
     world_from_cameras: Float[ndarray, "t 4 4"], factor: float, is_fixed: bool, rng: np.random.Generator
 ) -> Float[ndarray, "t 4 4"]:
-    """Transforms as a robot reports them: each frame is off on its own, a fixed camera always the same way.
+    """Camera poses with noise: independent in each frame, or constant for a fixed camera.
 
     Args:
-        factor: in units of `POSE_NOISE_M` along each axis and `POSE_NOISE_DEG` about each axis, standard deviations.
+        factor: standard deviation in units of `POSE_NOISE_M` along and `POSE_NOISE_DEG` about each axis.
     """
     if not factor:
         return world_from_cameras

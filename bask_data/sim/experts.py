@@ -1,4 +1,4 @@
-"""Scripted experts, one a task, and whether a task is done. They know where everything is, and grasp by friction."""
+"""Scripted experts and success checks of the tasks. Experts know all poses, and grasp by friction."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from bask_data.sim.take import Take
 from bask_data.sim.world import TABLE, World
 
 ABOVE = 0.12
-"""Metres above a thing from which it is approached. Chosen for the objects of these tasks."""
+"""Height above an object from which it is approached, metres. Chosen for the objects of these tasks."""
 
 SPEED_AT_REST = 0.02
-"""Metres and radians a second below which things count as lying still after a task. Chosen."""
+"""Metres and radians per second below which objects count as at rest after a task. Chosen."""
 
 
 @dataclass(frozen=True)
 class Expert:
-    """How a task is done, and whether it is."""
+    """A task's script, and its check of success."""
 
     work: Callable[[Operator], None]
     is_done: Callable[[World], bool]
@@ -67,11 +67,12 @@ def close_microwave(operator: Operator) -> None:
 
 
 def _at_door(world: World, angle: float, off: float, height: float) -> Float[ndarray, "4 4"]:
-    """The gripper outside the door, its fingers' flat sides along it.
+    """world_from_gripper outside the door, with the flat sides of the fingers along it.
 
     Args:
-        angle: of the door, radians; 0 is shut, negative open.
-        off: metres between the door's outer face and the fingers' middle.
+        angle: angle of the door, radians; 0 is shut, negative open.
+        off: metres between the door's outer face and the centre between the fingers.
+        height: metres above the table.
     """
     size = world.dimensions
     body = world.world_from_body("microwave")
@@ -83,7 +84,7 @@ def _at_door(world: World, angle: float, off: float, height: float) -> Float[nda
 
 
 def microwave_is_closed(world: World) -> bool:
-    """The door stands at most three degrees open."""
+    """Whether the door is open by less than three degrees."""
     return abs(float(world.data.joint("door").qpos[0])) < float(np.radians(3))
 
 
@@ -91,7 +92,7 @@ def microwave_is_closed(world: World) -> bool:
 
 
 def take_lid_off(operator: Operator) -> None:
-    """Lift the lid by its knob and lay it down beside the pan."""
+    """Lift the lid by its knob and put it down beside the pan."""
     world = operator.world
     lid = world.world_from_body("lid")[:3, 3]
     grasp = raised(lid, world.dimensions["knob"])
@@ -103,7 +104,7 @@ def take_lid_off(operator: Operator) -> None:
 
 
 def lid_is_off(world: World) -> bool:
-    """The lid lies flat on the table beside the pan."""
+    """Whether the lid lies flat on the table beside the pan."""
     lid, pan = world.world_from_body("lid"), world.world_from_body("saucepan")
     apart = float(np.linalg.norm(lid[:2, 3] - pan[:2, 3]))
     return bool(apart > 2 * world.dimensions["radius"] and abs(lid[2, 3]) < 0.004 and lid[2, 2] > np.cos(np.radians(4)))
@@ -113,14 +114,14 @@ def lid_is_off(world: World) -> bool:
 
 
 def put_phone_on_base(operator: Operator) -> None:
-    """Grasp the handset by its bar, turn it as the base lies, and set it down between the cradle's cheeks."""
+    """Grasp the handset by its bar, align it with the base, and put it down into the cradle."""
     world, size = operator.world, operator.world.dimensions
     phone, base = world.world_from_body("phone"), world.world_from_body("base")
     bar = raised(phone[:3, 3], size["bar"])
     yaw = nearest_half_turn(float(np.arctan2(phone[1, 0], phone[0, 0])))
     pick(operator, bar, yaw)
     operator.shift(z=0.14)
-    # The handset may have moved in the grasp: where it is held is looked up, and which way round it lies is free.
+    # The handset may have moved in the grasp, so its pose is looked up; either of its two orientations will do.
     held = grasped(world, "phone", world.world_from_body("hand"))
     wanted = base.copy()
     wanted[:3, 3] += [0, 0, size["top"] + 0.001]
@@ -136,7 +137,7 @@ def put_phone_on_base(operator: Operator) -> None:
 
 
 def phone_is_on_base(world: World) -> bool:
-    """The handset lies in the cradle."""
+    """Whether the handset lies in the cradle."""
     base_from_phone = invert_rigid(world.world_from_body("base")) @ world.world_from_body("phone")
     along = abs(float(base_from_phone[1, 1]))
     return bool(
@@ -151,7 +152,7 @@ def phone_is_on_base(world: World) -> bool:
 
 
 def put_rubbish_in_bin(operator: Operator) -> None:
-    """Pick the crumpled paper, carry it over the bin's edge, and let go."""
+    """Pick up the crumpled paper, carry it over the bin's edge, and let go."""
     world, size = operator.world, operator.world.dimensions
     paper, container = world.world_from_body("rubbish"), world.world_from_body("bin")
     middle = world.data.geom_xpos[world.geoms_of("rubbish")].mean(axis=0)
@@ -169,7 +170,7 @@ def put_rubbish_in_bin(operator: Operator) -> None:
 
 
 def rubbish_is_in_bin(world: World) -> bool:
-    """The paper lies between the bin's walls."""
+    """Whether the paper lies between the bin's walls."""
     bin_from_paper = invert_rigid(world.world_from_body("bin")) @ world.world_from_body("rubbish")
     size = world.dimensions
     return bool(
@@ -177,7 +178,7 @@ def rubbish_is_in_bin(world: World) -> bool:
     )
 
 
-# What the tasks share -------------------------------------------------------------------------------------------------
+# Motions shared by the tasks ------------------------------------------------------------------------------------------
 
 
 def raised(point: Float[ndarray, "3"], by: float) -> Float[ndarray, "3"]:
@@ -186,7 +187,7 @@ def raised(point: Float[ndarray, "3"], by: float) -> Float[ndarray, "3"]:
 
 
 def pick(operator: Operator, at: Float[ndarray, "3"], yaw: float) -> None:
-    """Close the open fingers around a point, from above."""
+    """Approach a point from above with open fingers, and close them."""
     operator.move(to=pointing_down(raised(at, ABOVE), yaw))
     operator.move(to=pointing_down(at, yaw), slow=1.5)
     operator.wait(2)
@@ -194,7 +195,7 @@ def pick(operator: Operator, at: Float[ndarray, "3"], yaw: float) -> None:
 
 
 def place(operator: Operator, at: Float[ndarray, "3"], yaw: float) -> None:
-    """Set down what the fingers hold, so that they are at a point, and let go."""
+    """Put down the grasped object with the fingers at a point, and let go."""
     operator.move(to=pointing_down(np.array([at[0], at[1], operator.target[2, 3]]), yaw))
     operator.wait(2)
     operator.move(to=pointing_down(at, yaw), slow=1.5)
@@ -203,20 +204,20 @@ def place(operator: Operator, at: Float[ndarray, "3"], yaw: float) -> None:
 
 
 def release(operator: Operator) -> None:
-    """Open the fingers and leave upwards."""
+    """Open the fingers and move up."""
     operator.grip(0.08)
     operator.shift(z=ABOVE)
 
 
 def free_spot(world: World, name: str, radius: float, rng: np.random.Generator) -> Float[ndarray, "2"]:
-    """A place on the table for a thing with this radius: one with room around it, else the one with the most."""
+    """Position (x, y) on the table for an object of this radius, metres: the nearest with room, else the roomiest."""
     others = world.is_object_geom().copy()
     others[world.geoms_of(name)] = False
     centres, reach = world.data.geom_xpos[others, :2], world.model.geom_rbound[others]
     spots = rng.uniform((-0.30, -0.20), (0.30, 0.22), (300, 2))
     room = (np.linalg.norm(spots[:, None] - centres, axis=-1) - reach).min(axis=1) - radius
     roomy = np.flatnonzero(room > 0.03)
-    # The nearest such place: a long way round would only make the demonstration longer.
+    # The nearest one, as a detour would only make the demonstration longer.
     here = world.world_from_body(name)[:2, 3]
     if len(roomy):
         return spots[roomy[np.argmin(np.linalg.norm(spots[roomy] - here, axis=1))]]
@@ -224,7 +225,7 @@ def free_spot(world: World, name: str, radius: float, rng: np.random.Generator) 
 
 
 def _others_are_left_alone(world: World, before: Float[ndarray, "k 4 4"]) -> bool:
-    """What the task is not about stands where it stood, and nothing fell off the table."""
+    """Whether the objects that do not belong to the task moved less than 1 cm, and none fell off the table."""
     meant = {"microwave": {"door"}, "lid": {"lid"}, "phone": {"phone"}, "rubbish": {"rubbish"}}[world.options.task]
     for (name, _), was, now in zip(world.labels.items(), before, world.world_from_objects(), strict=True):
         if name not in meant and np.linalg.norm(was[:3, 3] - now[:3, 3]) > 0.01:

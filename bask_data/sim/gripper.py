@@ -1,7 +1,7 @@
-"""A parallel gripper that floats, with a camera at its wrist.
+"""A floating parallel gripper with a wrist camera.
 
 The gripper's frame has its origin between the finger tips, z in the direction of approach, x from finger to finger. A
-weld to a moving target carries the hand as a robot's arm would; fingers are driven by position with a limited force.
+weld to a moving target replaces a robot's arm; the fingers are position-controlled with a limited force.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from numpy import ndarray
 from bask_data.sim.objects import Vector, add_geom, numbers
 
 LABEL = 255
-"""Label of the gripper in pictures: the last of 8 bits, so that it meets no object's."""
+"""Label of the gripper in label images: the largest of 8 bits, which no object has."""
 
 GROUP = 1
-"""Group of the gripper's geoms, so that they can be left out of a picture. MuJoCo has six; objects are in 0."""
+"""MuJoCo's group of the gripper's geoms, 0 to 5, by which they can be hidden; objects are in group 0."""
 
 MAX_WIDTH = 0.08
-"""Metres between the fingers when the gripper is open: that of a Franka hand."""
+"""Metres between the fingers of the open gripper, as of a Franka hand."""
 
 FOV_DEG = 56.0
-"""Vertical field of view of the wrist camera, degrees: between the 42 of RealSense's colour cameras and the 58 of their
-depth cameras."""
+"""Vertical field of view of the wrist camera, degrees: between RealSense's colour cameras (42) and depth cameras
+(58)."""
 
 TILT = np.radians(15.0)
-"""Radians the wrist camera is turned towards the finger tips, so that they show at the lower edge of the image."""
+"""Rotation of the wrist camera towards the finger tips, radians; they appear at the lower edge of the image."""
 
 CAMERA_AT = (0.0, -0.078, -0.135)
-"""Where the wrist camera is in the gripper's frame, metres: beside the hand and behind the finger tips. Chosen."""
+"""Position of the wrist camera in the gripper's frame, metres: beside the hand and behind the finger tips. Chosen."""
 
 
 def gripper_from_camera() -> Float[ndarray, "4 4"]:
-    """Where the wrist camera sits: camera x right, y down, z forward."""
+    """Transform (4, 4) of the wrist camera, metres; camera x right, y down, z forward."""
     transform = np.eye(4)
     sine, cosine = np.sin(TILT), np.cos(TILT)
     transform[:3, :3] = np.array([[1, 0, 0], [0, cosine, sine], [0, -sine, cosine]])
@@ -45,7 +45,7 @@ def gripper_from_camera() -> Float[ndarray, "4 4"]:
 
 
 def add_gripper(mujoco: Element, world: Element) -> None:
-    """Add hand, fingers, camera, the target that carries them, and the fingers' motors."""
+    """Add the hand, fingers, camera, mocap target and motors to the model."""
     SubElement(world, "body", {"name": "target", "mocap": "true", "pos": "0 0 0.5", "quat": "0 1 0 0"})
     hand = SubElement(world, "body", {"name": "hand", "gravcomp": "1", "pos": "0 0 0.5", "quat": "0 1 0 0"})
     SubElement(hand, "freejoint", {"name": "hand"})

@@ -1,6 +1,6 @@
-"""The objects of the tasks, as MuJoCo bodies made of primitives. Metres; an object's frame has z up, its origin below.
+"""The objects of the tasks, as MuJoCo bodies made of primitives. Metres; an object's frame has z up, origin below.
 
-Half sizes are MuJoCo's way: a box of `size` (x, y, z) is twice as long along each axis.
+MuJoCo's sizes are half sizes: a box of `size` (x, y, z) is twice as long along each axis.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Vector = Sequence[float | int] | np.ndarray
 
 @dataclass(frozen=True)
 class Dimensions:
-    """Sizes that experts and tests need to know; they vary a little with the seed."""
+    """Sizes used by experts and tests, metres; they vary a little with the seed."""
 
     values: dict[str, float] = field(default_factory=dict)
 
@@ -30,18 +30,18 @@ class Dimensions:
 
 @dataclass(frozen=True)
 class Thing:
-    """One object and where it may stand.
+    """An object and its range of poses.
 
     Args:
-        body: MuJoCo's description; its position is set when a scene is laid out.
-        free: whether it can move; else it stands as if screwed to the table.
-        x, y: metres, ranges of the origin on the table.
-        yaw: radians, range of the turn about z.
-        z: metres, height of the origin when it stands.
-        on: the thing it stands on, at `x`, `y`, `z` in that one's frame.
-        hsv: main colour of its texture.
-        is_symmetric: whether it looks the same however it is turned about z.
-        parts: bodies inside `body` that have a label and a colour of their own.
+        body: MJCF element; its position is set for each scene.
+        free: whether the object can move; otherwise it is fixed to the table.
+        x, y: ranges of the origin on the table, metres.
+        yaw: range of the rotation about z, radians.
+        z: height of the origin, metres.
+        on: name of the object that it stands on, with `x`, `y` and `z` in that object's frame; empty for the table.
+        hsv: main colour of the texture.
+        is_symmetric: whether its appearance is invariant to rotation about z.
+        parts: main colours by name of bodies inside `body` with their own labels.
     """
 
     name: str
@@ -58,18 +58,18 @@ class Thing:
 
     @property
     def materials(self) -> list[str]:
-        """Names of the textures: one for each labelled body, and `name/i` for walls that have their own."""
+        """Names of the textures: one per labelled body, and `name/wall` for walls with their own."""
         used = {geom.get("material", "") for geom in self.body.iter("geom")}
         return [*self.labelled, *sorted(name for name in used if "/" in name)]
 
     @property
     def labelled(self) -> dict[str, tuple[float, float, float]]:
-        """Main colour by name, of this thing and of its parts."""
+        """Main colours by name of the object and its parts."""
         return {self.name: self.hsv, **self.parts}
 
 
 def numbers(values: object) -> str:
-    """Numbers as MJCF wants them."""
+    """Numbers in MJCF's format, separated by spaces."""
     return " ".join(f"{float(value):.9g}" for value in np.ravel(np.asarray(values)))
 
 
@@ -83,9 +83,9 @@ def add_geom(
     tint: Vector = (1, 1, 1, 1),
     **attributes: object,
 ) -> Element:
-    """A primitive. `tint` multiplies the texture; its last number below 1 makes the primitive transparent."""
+    """Add a primitive. `tint` is RGBA and multiplies the texture; an opacity below 1 makes it transparent."""
     text = {name: value if isinstance(value, str) else numbers(value) for name, value in attributes.items()}
-    # A colour equal to MuJoCo's default would be overruled by the material's: the same, for its colour is white.
+    # The material's colour overrides a colour equal to MuJoCo's default; both are white.
     return SubElement(
         parent,
         "geom",
@@ -109,16 +109,16 @@ def _scale(rng: np.random.Generator, share: float = 0.06) -> float:
 
 
 DARK = (0.35, 0.35, 0.38, 1.0)
-"""Red, green, blue and opacity, in [0, 1], of dark plastic: handles, dials, windows."""
+"""RGBA in [0, 1] of dark plastic: handles, dials, windows."""
 
 
 def microwave(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
-    """A box open to -y, and a door hinged at its left edge; angle 0 is shut, negative is open."""
+    """A box open to -y, and a door hinged at its left edge; angle 0 is shut, negative open."""
     w, d, h = 0.27 * _scale(rng), 0.19 * _scale(rng), 0.165 * _scale(rng)
     wall, panel, door = 0.010, 0.055, 0.014
     body = _body("microwave")
     add_geom(body, "box", (w / 2, d / 2, wall / 2), (0, 0, wall / 2))
-    # A texture goes through a body: with one for all walls, the inside of each would look like another's outside.
+    # A texture extends through a body: with one texture, the inside of a wall would look like another's outside.
     add_geom(body, "box", (w / 2, d / 2, wall / 2), (0, 0, h - wall / 2), material="microwave/top")
     inner = (h - 2 * wall) / 2
     add_geom(body, "box", (w / 2, wall / 2, inner), (0, d / 2 - wall / 2, h / 2), material="microwave/back")
@@ -163,7 +163,7 @@ def microwave(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
 
 
 N_RIM = 24
-"""Flat pieces a pan's round rim is made of: MuJoCo has no hollow primitives. A turn of 15 degrees each."""
+"""Boxes that make up a pan's round rim, 15 degrees each: MuJoCo has no hollow primitives."""
 
 
 def lid(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
@@ -172,7 +172,7 @@ def lid(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
     pan = _body("saucepan")
     add_geom(pan, "cylinder", (radius, height / 2), (0, 0, height / 2))
     for angle in 2 * np.pi * np.arange(N_RIM) / N_RIM:
-        # Boxes as wide as the ring's outer edge, so that no gap is left between them.
+        # Boxes as wide as the ring's outer edge leave no gaps.
         size = (wall / 2, radius * np.tan(np.pi / N_RIM), rim / 2)
         at = radius - wall / 2
         pos = (at * np.cos(angle), at * np.sin(angle), height + rim / 2)
@@ -226,12 +226,12 @@ def phone(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
 
 
 def rubbish(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
-    """A bin, crumpled paper, and a tomato and a can that are to stay."""
+    """A bin, crumpled paper, and a tomato and a can that stay on the table."""
     half, height, wall = 0.068 * _scale(rng), 0.13 * _scale(rng), 0.005
     container = _body("bin")
     add_geom(container, "box", (half, half, wall / 2), (0, 0, wall / 2))
     tall, up = (height - wall) / 2, (height + wall) / 2
-    # A texture goes through a body: with one for all walls, the inside of each would look like another's outside.
+    # A texture extends through a body: with one texture, the inside of a wall would look like another's outside.
     tint = (0.85, 0.85, 0.85, 1)
     for side, sign in (("near", -1), ("far", 1)):
         across = sign * (half - wall / 2)
@@ -264,7 +264,7 @@ def rubbish(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
 
 
 def clutter(rng: np.random.Generator, i: int) -> Thing:
-    """A further object: a box, a tin, a lying roll, a mug or a bowl-like lump."""
+    """A further object: a box, a can, a stepped box or a mug."""
     name = f"clutter{i + 1}"
     body = _body(name)
     SubElement(body, "freejoint", {"name": name})

@@ -1,4 +1,4 @@
-"""Working the gripper: targets move smoothly, physics follows, and every control step becomes a frame."""
+"""Control of the gripper: targets move smoothly, physics follows, and every control step becomes a frame."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from bask_data.sim.take import RobotMotion, Take
 from bask_data.sim.world import STEP, Layout, World
 
 CONTROL_RATE = 20.0
-"""Frames and commands a second. Chosen."""
+"""Frames and commands per second. Chosen."""
 
 N_SUBSTEPS = round(1 / CONTROL_RATE / STEP)
-"""Steps of the physics in a frame."""
+"""Physics steps per frame."""
 
 SPEED, TURN_SPEED = 0.28, 1.6
-"""Metres and radians a second, on average over a motion. Chosen."""
+"""Average speed of a motion, metres and radians per second. Chosen."""
 
 ACTION_NAMES = ("dx", "dy", "dz", "rx", "ry", "rz", "width")
-"""Motion of the gripper's target until the next frame: metres and a rotation vector in radians, both along the world's
-axes; and the width in metres that the fingers are to have."""
+"""Motion of the gripper's target until the next frame, metres and a rotation vector in radians, both along the world
+frame's axes; and the commanded width, metres."""
 
 
 def pointing_down(at: Float[ndarray, "3"], yaw: float) -> Float[ndarray, "4 4"]:
-    """A gripper that reaches straight down to `at`, its fingers along the direction `yaw` on the table."""
+    """world_from_gripper pointing straight down to `at`, metres, with the fingers along `yaw`, radians."""
     cosine, sine = np.cos(yaw), np.sin(yaw)
     transform = np.eye(4)
     transform[:3, :3] = np.array([[cosine, sine, 0], [sine, -cosine, 0], [0, 0, -1]])
@@ -38,15 +38,15 @@ def pointing_down(at: Float[ndarray, "3"], yaw: float) -> Float[ndarray, "4 4"]:
 
 
 def nearest_half_turn(yaw: float, to: float = 0.0) -> float:
-    """The same finger line, turned as little as possible away from `to`: fingers may be swapped."""
+    """The yaw closest to `to` with the same line of fingers, which may be swapped; radians."""
     return to + (yaw - to + np.pi / 2) % np.pi - np.pi / 2
 
 
 class Operator:
-    """Commands the gripper in a world, and keeps what happens.
+    """Control of the gripper in a world, and recording of its motion.
 
     Args:
-        start: where the gripper is at first.
+        start: initial world_from_gripper.
     """
 
     def __init__(self, world: World, start: Float[ndarray, "4 4"], rng: np.random.Generator) -> None:
@@ -64,7 +64,7 @@ class Operator:
         import_mujoco().mj_forward(world.model, world.data)
 
     def move(self, *, to: Float[ndarray, "4 4"], slow: float = 1.0) -> None:
-        """Carry the target there on a straight line, starting and stopping gently."""
+        """Move the target on a straight line with smooth acceleration, `slow` times as long as usual."""
         begin = self.target
         distance = float(np.linalg.norm(to[:3, 3] - begin[:3, 3]))
         angle = float(rotation_angle(begin[:3, :3].T @ to[:3, :3]))
@@ -85,7 +85,7 @@ class Operator:
         self.move(to=to, slow=slow)
 
     def grip(self, width: float) -> None:
-        """Bring the fingers to a width, or as near as what is between them allows."""
+        """Move the fingers to a width, metres, or until they touch an object."""
         for s in (0.25, 0.5, 0.75, 1, 1, 1, 1):
             self.step(self.target, (1 - s) * self.width + s * width, keep=s == 1)
         self.wait(2)
@@ -96,7 +96,7 @@ class Operator:
             self.step(self.target, self.width)
 
     def step(self, target: Float[ndarray, "4 4"], width: float, keep: bool = True) -> None:
-        """Keep a frame, give one command, and let physics follow it.
+        """Record a frame, issue one command, and simulate until the next frame.
 
         Args:
             keep: whether `width` becomes the width of later commands.
@@ -111,7 +111,7 @@ class Operator:
             self.width = before
 
     def take(self, layout: Layout, touching: list[tuple[int, int]]) -> Take:
-        """What happened, the last frame without a command."""
+        """The recorded motion; the last frame's command is to stand still."""
         self._keep_frame(self.target, self.width)
         robot = RobotMotion(np.stack(self._grippers), np.array(self._widths), np.stack(self._actions), ACTION_NAMES)
         return Take(
@@ -141,5 +141,5 @@ class Operator:
 
 
 def grasped(world: World, name: str, gripper_target: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"]:
-    """Where the gripper is in the frame of what it holds."""
+    """Transform (4, 4) of the gripper in the frame of the grasped object."""
     return invert_rigid(world.world_from_body(name)) @ gripper_target

@@ -1,4 +1,4 @@
-"""Pictures of the world: colour, exact z-depth, labels, and where the camera is."""
+"""Rendering of the world: colour, exact z-depth, labels, and camera poses."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 @dataclass(frozen=True)
 class RenderedView:
-    """What one camera sees, exactly.
+    """An image of one camera without defects.
 
-    Attributes:
-        depth: z-depth, metres; 0 where there is nothing.
-        instance: label of the visible body; 0 is table and floor, 255 the gripper.
+    Args:
+        depth: z-depth, metres; 0 where no surface is visible.
+        instance: label of the visible body; 0 for table and floor, 255 for the gripper.
         is_glass: whether the visible surface is transparent.
     """
 
@@ -35,13 +35,13 @@ class RenderedView:
 
 
 def intrinsics(fov_deg: float, height: int, width: int) -> Float[ndarray, "3 3"]:
-    """Pinhole matrix of a camera with this vertical field of view; pixel (0, 0) is a centre."""
+    """Pinhole matrix, pixels, for a vertical field of view in degrees; pixel (0, 0) is a centre."""
     focal = height / 2 / np.tan(np.radians(fov_deg) / 2)
     return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
 
 
 class Renderer:
-    """Draws a world. One off-screen buffer serves cameras of any size; two passes a picture."""
+    """Renderer of a world, with two passes per image into one off-screen buffer for cameras of any size."""
 
     def __init__(self, world: World) -> None:
         mujoco = import_mujoco()
@@ -52,14 +52,14 @@ class Renderer:
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
-        # Reversed depth keeps its precision far away.
+        # Reversed depth stays precise at large distances.
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         self._option = mujoco.MjvOption()
         self._tables: tuple[UInt8[ndarray, " s"], Bool[ndarray, " s"]] | None = None
 
     @property
     def shows_gripper(self) -> bool:
-        """Whether the gripper is in the pictures."""
+        """Whether the gripper is rendered."""
         return bool(self._option.geomgroup[gripper.GROUP])
 
     @shows_gripper.setter
@@ -78,11 +78,11 @@ class Renderer:
         self.close()
 
     def K(self, camera: str) -> Float[ndarray, "3 3"]:
-        """Exact intrinsics of a camera at the size it is drawn."""
+        """Exact intrinsics (3, 3) of a camera at its image size, pixels."""
         return intrinsics(float(self._world.model.camera(camera).fovy[0]), *self._world.options.size(camera))
 
     def view(self, camera: str) -> RenderedView:
-        """What a camera sees of the world as it is."""
+        """Image of a camera in the world's current state."""
         mujoco, scene = self._mujoco, self._scene
         height, width = self._world.options.size(camera)
         rect = mujoco.MjrRect(0, 0, width, height)
@@ -94,12 +94,12 @@ class Renderer:
         mujoco.mjr_readPixels(rgb, None, rect, self._context)
         for flag in (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR):
             scene.flags[flag] = True
-        # Glass is drawn solid in this pass, so that depth and labels are of the same surface.
+        # This pass renders glass opaque, so that depth and labels are of the same surface.
         mujoco.mjr_render(rect, scene, self._context)
         mujoco.mjr_readPixels(ids, depth, rect, self._context)
         for flag in (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR):
             scene.flags[flag] = False
-        # The scene numbers its geoms anew for each picture, in one byte's steps through red, green and blue.
+        # Colours are the numbers of the scene's geoms, low byte in red; they are assigned for each image.
         i_drawn = ids[::-1, :, 0].astype(np.uint16) + 256 * ids[::-1, :, 1].astype(np.uint16)
         labels, is_glass = self._lookup()
         return RenderedView(
@@ -118,7 +118,7 @@ class Renderer:
         mujoco.mjv_updateScene(self._world.model, self._world.data, self._option, None, eye, everything, self._scene)
 
     def _lookup(self) -> tuple[UInt8[ndarray, " s"], Bool[ndarray, " s"]]:
-        """Label and transparency by the number a geom is drawn with. The same geoms are drawn in every picture."""
+        """Label and transparency by a geom's number in the scene; every image has the same geoms."""
         if self._tables is None or len(self._tables[0]) != self._scene.ngeom + 1:
             labels = np.zeros(self._scene.ngeom + 1, dtype=np.uint8)
             is_glass = np.zeros(self._scene.ngeom + 1, dtype=bool)
@@ -130,7 +130,7 @@ class Renderer:
         return self._tables
 
     def world_from_camera(self, camera: str) -> Float[ndarray, "4 4"]:
-        """Where a camera is, exactly: x right, y down, z forward."""
+        """Exact pose (4, 4) of a camera, metres; x right, y down, z forward."""
         eye: Any = self._world.data.camera(camera)
         transform = np.eye(4)
         transform[:3, :3] = eye.xmat.reshape(3, 3) @ OPENGL_FROM_OPENCV
@@ -139,7 +139,7 @@ class Renderer:
 
 
 def metric(buffer: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
-    """z-depth from the depth buffer, which holds 1 at the near plane and 0 at the far one: linear in 1 / z."""
+    """z-depth, metres, from the depth buffer, which is linear in 1 / z: 1 at the near plane, 0 at the far one."""
     near, far = np.float64(np.float32(NEAR)), np.float64(np.float32(FAR))
     inverse = buffer.astype(np.float64) * (1 / near - 1 / far) + 1 / far
     return np.where(buffer > 0, 1 / inverse, 0).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Scanning: the wrist camera winds around the objects while everything stands still."""
+"""Scanning: the wrist camera moves on a spiral around a static scene."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from bask_data.sim.take import Take
 from bask_data.sim.world import Layout, World
 
 SCAN_FRAMES_PER_SECOND = 10.0
-"""Of a scan's timestamps; nothing moves, so that it says no more than how fast the camera winds."""
+"""Frame rate of a scan's timestamps. The scene is static, so it only defines the camera's speed."""
 
 ELEVATION = (np.radians(24.0), np.radians(78.0))
-"""Radians above the table between which the camera goes up and down: from low to nearly above. Chosen."""
+"""Range of the camera's elevation above the table, radians. Chosen."""
 
 TURNS = 2.25
-"""Times the camera goes around the objects. Chosen."""
+"""Revolutions of the camera around the objects. Chosen."""
 
 
 def scan(world: World, rng: np.random.Generator, layout: Layout | None = None) -> Take:
-    """Move the camera around a scene; without one, a new one is laid out."""
+    """Move the camera around a scene, by default a new one."""
     layout = layout or world.lay_out(rng)
     world.restore(layout)
     world_from_cameras = camera_path(world, world.options.frames, rng)
@@ -31,7 +31,7 @@ def scan(world: World, rng: np.random.Generator, layout: Layout | None = None) -
     qpos = np.repeat(layout.qpos[None], n_frames, axis=0)
     hand, fingers = world.address("hand"), [world.address("left"), world.address("right")]
     qpos[:, hand : hand + 7] = [free_joint(transform) for transform in hands]
-    # The fingers open and close some times, whether the pictures show them or not.
+    # The fingers open and close four times, whether or not they are rendered.
     opening = 0.5 + 0.45 * np.cos(2 * np.pi * 4 * np.arange(n_frames) / max(n_frames, 1))
     qpos[:, fingers] = (gripper.MAX_WIDTH / 2 * opening)[:, None]
     return Take(
@@ -45,7 +45,7 @@ def scan(world: World, rng: np.random.Generator, layout: Layout | None = None) -
 
 
 def camera_path(world: World, n_frames: int, rng: np.random.Generator) -> Float[ndarray, "t 4 4"]:
-    """A spiral over the upper half of a sphere around the objects, with varied distance, aim and roll."""
+    """world_from_camera (t, 4, 4) on a spiral on the upper hemisphere, with varied distance, target and roll."""
     centres = world.data.geom_xpos[world.is_object_geom()]
     middle = (centres.min(axis=0) + centres.max(axis=0)) / 2
     extent = float(np.linalg.norm(centres - middle, axis=1).max())
@@ -53,7 +53,7 @@ def camera_path(world: World, n_frames: int, rng: np.random.Generator) -> Float[
     s = np.linspace(0, 1, n_frames)
     sway, lean, aim_x, aim_y = (smooth(s, rng) for _ in range(4))
     azimuth = rng.uniform(0, 2 * np.pi) + 2 * np.pi * TURNS * s
-    # Up and down again, so that neighbouring turns cross and differ in height.
+    # Up and down again, so that revolutions cross and differ in height.
     elevation = ELEVATION[0] + (ELEVATION[1] - ELEVATION[0]) * (0.5 - 0.5 * np.cos(2 * np.pi * s))
     radius = distance * (1 + world.options.distance_spread * sway)
     ring = radius * np.cos(elevation)
@@ -65,13 +65,13 @@ def camera_path(world: World, n_frames: int, rng: np.random.Generator) -> Float[
 
 
 def smooth(s: Float[ndarray, " t"], rng: np.random.Generator) -> Float[ndarray, " t"]:
-    """A random wave between -1 and 1 over s in 0..1."""
+    """Random smooth wave in [-1, 1] for s in [0, 1]."""
     waves = [np.sin(2 * np.pi * (n * s + rng.uniform())) for n in (1, 2, 3.5)]
     return np.dot([0.5, 0.3, 0.2], waves)
 
 
 def looking(eye: Float[ndarray, "3"], at: Float[ndarray, "3"], roll: float) -> Float[ndarray, "4 4"]:
-    """The transform of a camera at `eye` that looks at `at`, turned about its axis by `roll` radians."""
+    """world_from_camera at `eye` looking at `at`, metres, rotated about its axis by `roll`, radians."""
     forward = (at - eye) / np.linalg.norm(at - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right = right / np.linalg.norm(right)
@@ -84,7 +84,7 @@ def looking(eye: Float[ndarray, "3"], at: Float[ndarray, "3"], roll: float) -> F
 
 
 def free_joint(transform: Float[ndarray, "4 4"]) -> Float[ndarray, "7"]:
-    """Position and quaternion (w x y z) as MuJoCo's free joint takes them."""
+    """Position and quaternion (w x y z) of MuJoCo's free joint."""
     return np.concatenate([transform[:3, 3], quat_wxyz(transform[:3, :3])])
 
 

@@ -1,4 +1,4 @@
-"""What happened in a recording: the joints' positions at each frame. Small; pictures are drawn from it when needed."""
+"""The motions of a recording: joint positions at each frame, from which images are rendered on demand."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bask_data.sim.world import Layout
 
 @dataclass(frozen=True)
 class RobotMotion:
-    """What the gripper did at each frame, and what it was told to do."""
+    """The gripper's pose and width, metres, and its commands, at each frame; see `ACTION_NAMES`."""
 
     world_from_gripper: Float[ndarray, "t 4 4"]
     gripper_width: Float[ndarray, " t"]
@@ -22,12 +22,15 @@ class RobotMotion:
 
 @dataclass(frozen=True)
 class Take:
-    """A scan or a demonstration as it happened.
+    """The motions of a scan or a demonstration.
 
-    Attributes:
-        time: seconds of each frame.
-        shows_gripper: whether the gripper is in the pictures.
+    Args:
+        qpos: MuJoCo's joint positions.
+        time: seconds.
+        world_from_objects: poses of the labelled bodies, metres.
         touching: pairs of labels whose bodies touch at the first frame.
+        shows_gripper: whether the gripper is rendered.
+        robot: None for a scan.
     """
 
     layout: Layout

@@ -1,4 +1,4 @@
-"""Procedural textures: smooth noise in two colours with shapes over it, so that no two spots look alike."""
+"""Procedural textures: smooth noise in two colours with shapes, so that every spot is distinctive."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 FACE = 160
-"""Pixels along the edge of a face of an object's texture. Chosen."""
+"""Edge of a face of an object's texture, pixels. Chosen."""
 
 N_SHAPES = 14
-"""Discs and bars painted on a face. Chosen."""
+"""Shapes painted on a face. Chosen."""
 
 
 def colour(hue: float, saturation: float, value: float) -> Float[ndarray, "3"]:
-    """Red, green and blue in 0..255."""
+    """RGB in [0, 255]."""
     return 255 * np.array(colorsys.hsv_to_rgb(hue % 1.0, min(saturation, 1.0), min(value, 1.0)))
 
 
 def smooth_noise(rng: np.random.Generator, height: int, width: int, cells: tuple[int, ...]) -> Float[ndarray, "h w"]:
-    """Noise in 0..1 with detail of several sizes, each octave half as strong as the one before.
+    """Noise in [0, 1] with several octaves, each half as strong as the one before.
 
     Args:
-        cells: bumps along the longer edge, one octave each.
+        cells: number of cells along the longer edge, for each octave.
     """
     noise = np.zeros((height, width))
     for i_octave, n_cells in enumerate(cells):
@@ -41,7 +41,7 @@ def object_faces(rng: np.random.Generator, hue: float, saturation: float, value:
 
 
 def symmetric_faces(rng: np.random.Generator, hue: float, saturation: float, value: float) -> UInt8[ndarray, "6 f f 3"]:
-    """Faces that look the same however the object is turned about z: rings above and below, plain sides."""
+    """Faces that are invariant to rotation about z: rings on top and bottom, plain sides."""
     middle = (FACE - 1) / 2
     radius = np.hypot(*(np.mgrid[:FACE, :FACE] - middle)) / middle
     profile = smooth_noise(rng, 2, FACE, (5, 14))[0]
@@ -63,9 +63,9 @@ def _face(rng: np.random.Generator, hue: float, saturation: float, value: float)
 
 
 def _add_shape(rng: np.random.Generator, image: UInt8[ndarray, "f f 3"], hue: float, s: float, v: float) -> None:
-    """Draw a disc, a box, a stripe or a letter in a kindred or an opposite colour."""
+    """Draw a disc, a box, a stripe or a letter in a similar or a contrasting colour."""
     away = rng.uniform(0.2, 0.8) if rng.random() < 0.4 else rng.uniform(-0.12, 0.12)
-    # Much darker or lighter than what is around: shapes are what spots of a dark object are known by.
+    # Much darker or lighter than the surroundings: shapes make spots of dark objects distinctive.
     shade = rng.uniform(0.15, 0.5) * v if rng.random() < 0.5 else rng.uniform(0.8, 1.0)
     paint = tuple(colour(hue + away, max(s, 0.25) * rng.uniform(0.4, 1.2), shade).tolist())
     x, y = (int(value) for value in rng.integers(0, FACE, 2))
@@ -87,7 +87,7 @@ def _add_shape(rng: np.random.Generator, image: UInt8[ndarray, "f f 3"], hue: fl
 
 
 def wood(rng: np.random.Generator, size: int) -> UInt8[ndarray, "s s 3"]:
-    """A table top: boards with grain along x."""
+    """A table top of boards with grain along x."""
     hue, n_boards = rng.uniform(0.06, 0.11), 6
     grain = smooth_noise(rng, size, size // 8, (8, 24, 64, 200))
     grain = cv2.resize(grain, (size, size), interpolation=cv2.INTER_CUBIC)
@@ -114,7 +114,7 @@ def tiles(rng: np.random.Generator, size: int) -> UInt8[ndarray, "s s 3"]:
 
 
 def covering(rng: np.random.Generator, size: int) -> UInt8[ndarray, "s s 3"]:
-    """What may cover a table or a floor, in any colour: mottled stone, a chequered cloth, or stripes."""
+    """A texture for table or floor in random colours: mottled stone, a chequered cloth, or stripes."""
     hue, kind, n_stripes = rng.uniform(), int(rng.integers(0, 3)), int(rng.integers(7, 20))
     noise = smooth_noise(rng, size, size, (6, 20, 60, 160))[..., None]
     dark = colour(hue, rng.uniform(0.2, 0.7), rng.uniform(0.25, 0.5))

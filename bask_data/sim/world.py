@@ -1,4 +1,4 @@
-"""The table with a task's objects on it: built once, laid out anew for each recording."""
+"""The table with a task's objects: built once, with a new layout for each recording."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ from bask_data.sim.objects import THINGS, Thing, add_geom, clutter, numbers
 from bask_data.sim.options import TASKS, SimOptions
 
 GAP = 0.04
-"""Metres that objects stand apart, unless one stands on the other: more than DBSCAN's default radius of 3 cm."""
+"""Least distance between objects, metres, unless one stands on the other: above DBSCAN's default radius of 3 cm."""
 
 TOUCHING = 0.003
-"""Metres between two objects below which truth says that they touch. Chosen."""
+"""Distance below which two objects count as touching in ground truth, metres. Chosen."""
 
 TABLE = (0.52, 0.42)
-"""Half sizes of the table top, metres; the world's origin is its middle, z up."""
+"""Half sizes of the table top, metres; its centre is the origin of the world frame, z up."""
 
 NEAR, FAR = 0.02, 8.0
-"""Metres between which the renderer draws. Chosen."""
+"""Near and far plane of the renderer, metres. Chosen."""
 
 STEP = 0.002
-"""Seconds of a step of the physics: MuJoCo's default."""
+"""Physics time step, seconds: MuJoCo's default."""
 
 SETTLE, MAX_SETTLE = 0.2, 3.0
-"""Seconds between looks whether all objects lie still, and how long they may take to."""
+"""Seconds between checks whether all objects are at rest, and the longest time to come to rest."""
 
 STILL = 0.003
-"""Metres and radians a second below which objects count as lying still: 0.6 mm in `SETTLE` seconds. Chosen."""
+"""Metres and radians per second below which objects count as at rest: 0.6 mm in `SETTLE` seconds. Chosen."""
 
 OVERHEAD_AT, OVERHEAD_TO, OVERHEAD_FOV_DEG = (0.0, -0.42, 0.88), (0.0, 0.03, 0.03), 46.0
-"""Where the overhead camera is and what it looks at, metres, and its vertical field of view, degrees. Chosen."""
+"""Position and target of the overhead camera, metres, and its vertical field of view, degrees. Chosen."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where everything stands at first, and how it is lit. Restoring it restores the scene exactly."""
+    """Initial poses and lighting; restoring them restores the scene exactly."""
 
     body_pos: Float[ndarray, "b 3"]
     body_quat_wxyz: Float[ndarray, "b 4"]
@@ -54,10 +54,10 @@ class Layout:
 
 
 class World:
-    """MuJoCo's model and state, and what belongs to which label."""
+    """MuJoCo's model and state, and the labels of bodies."""
 
     def __init__(self, options: SimOptions) -> None:
-        """Build the world of a task; sizes and textures follow from the seed."""
+        """Build the world of a task, with sizes and textures from the seed."""
         mujoco = import_mujoco()
         self.options = options
         seed = [options.seed, TASKS.index(options.task)]
@@ -70,20 +70,20 @@ class World:
         _paint(self.model, things, seed, options.background_seed)
         self.data = mujoco.MjData(self.model)
 
-    # What is what -----------------------------------------------------------------------------------------------------
+    # Labels and poses -------------------------------------------------------------------------------------------------
 
     @property
     def label_names(self) -> dict[int, str]:
-        """Name of each label, the gripper's included."""
+        """Names by label, including the gripper's."""
         return {**{label: name for name, label in self.labels.items()}, gripper.LABEL: "gripper"}
 
     @cached_property
     def geom_labels(self) -> UInt8[ndarray, " g"]:
-        """Label of each geom; 0 is table and floor."""
+        """Label of each geom; 0 for table and floor."""
         of_body = np.zeros(self.model.nbody, dtype=np.uint8)
         for i_body in range(1, self.model.nbody):
             name = self.model.body(i_body).name
-            # A parent comes before its children.
+            # Parents precede their children.
             of_body[i_body] = self.labels.get(name, of_body[self.model.body_parentid[i_body]])
             if name == "hand":
                 of_body[i_body] = gripper.LABEL
@@ -91,15 +91,15 @@ class World:
 
     @cached_property
     def geom_is_glass(self) -> Bool[ndarray, " g"]:
-        """Which geoms are transparent."""
+        """Whether each geom is transparent."""
         return self.model.geom_rgba[:, 3] < 1
 
     def world_from_objects(self) -> Float[ndarray, "k 4 4"]:
-        """Where the labelled bodies are, in the order of the labels."""
+        """Poses of the labelled bodies, metres, in the order of labels."""
         return np.stack([self.world_from_body(name) for name in self.labels])
 
     def world_from_body(self, name: str) -> Float[ndarray, "4 4"]:
-        """Where a body is."""
+        """Pose of a body, metres."""
         body = self.data.body(name)
         transform = np.eye(4)
         transform[:3, :3] = body.xmat.reshape(3, 3)
@@ -107,15 +107,15 @@ class World:
         return transform
 
     def address(self, joint: str) -> int:
-        """Where the positions of a joint begin in `qpos`."""
+        """Index in `qpos` of a joint's first position."""
         return int(self.model.jnt_qposadr[self.model.joint(joint).id])
 
     def is_object_geom(self) -> Bool[ndarray, " g"]:
-        """Which geoms belong to an object, rather than to table or gripper."""
+        """Whether each geom belongs to an object, not to table, floor or gripper."""
         return (self.geom_labels > 0) & (self.geom_labels != gripper.LABEL)
 
     def touching(self) -> list[tuple[int, int]]:
-        """Pairs of labels whose bodies are in touch, or nearer than can be seen."""
+        """Pairs of labels whose bodies are closer than `TOUCHING`."""
         labels = sorted(self.labels.values())
         return [
             (a, b)
@@ -128,11 +128,11 @@ class World:
         return np.flatnonzero(self.geom_labels == label)
 
     def geoms_of(self, name: str) -> ndarray:
-        """Geoms of a thing, its parts included."""
+        """Indices of the geoms of an object and its parts."""
         return np.flatnonzero(np.isin(self.geom_labels, [self.labels[part] for part in self.things[name].labelled]))
 
     def distance(self, geoms_a: ndarray, geoms_b: ndarray, most: float) -> float:
-        """Metres between two sets of geoms, or `most` if that is less; negative where they overlap."""
+        """Metres between two sets of geoms, but at most `most`; negative if they overlap."""
         mujoco = import_mujoco()
         least = most
         at, reach = self.data.geom_xpos, self.model.geom_rbound
@@ -145,10 +145,10 @@ class World:
     # Laying out -------------------------------------------------------------------------------------------------------
 
     def lay_out(self, rng: np.random.Generator) -> Layout:
-        """Put everything somewhere, `GAP` apart, and let it come to rest.
+        """Place all objects at random, `GAP` apart, and let them come to rest.
 
         Raises:
-            UsageError: there is no room.
+            UsageError: there is not enough room.
         """
         for _ in range(60):
             self._reset()
@@ -158,13 +158,13 @@ class World:
         raise UsageError(
             "simulator",
             "--clutter",
-            expected=f"objects that find room {GAP * 100:g} cm apart",
+            expected=f"objects that fit on the table {GAP * 100:g} cm apart",
             got=f"{len(self.things)} objects",
-            fix="use fewer.",
+            fix="use less --clutter.",
         )
 
     def restore(self, layout: Layout) -> None:
-        """Put everything where it stood."""
+        """Restore a layout."""
         import_mujoco().mj_resetData(self.model, self.data)
         self.model.body_pos[:], self.model.body_quat[:] = layout.body_pos, layout.body_quat_wxyz
         self.model.light_pos[:], self.model.light_diffuse[:] = layout.light_pos, layout.light_diffuse
@@ -172,7 +172,7 @@ class World:
         self.show(layout.qpos)
 
     def show(self, qpos: Float[ndarray, " q"]) -> None:
-        """Put the joints somewhere, for a picture."""
+        """Set the joint positions, for rendering."""
         mujoco = import_mujoco()
         self.data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self.data)
@@ -222,7 +222,7 @@ class World:
         mujoco.mj_kinematics(self.model, self.data)
 
     def _settle(self) -> bool:
-        """Let everything fall into place; whether it stands still then."""
+        """Simulate until all objects are at rest; False if they take longer than `MAX_SETTLE`."""
         mujoco = import_mujoco()
         mujoco.mj_forward(self.model, self.data)
         still = False
@@ -234,7 +234,7 @@ class World:
         return still
 
     def _stands_apart(self) -> bool:
-        """Whether what came to rest is still on the table and apart."""
+        """Whether the objects at rest are on the table and `GAP` apart."""
         things = list(self.things.values())
         for i, a in enumerate(things):
             if self.world_from_body(a.name)[2, 3] < -0.01:
@@ -272,7 +272,7 @@ def _mjcf(things: list[Thing], options: SimOptions) -> str:
     visual = SubElement(mujoco, "visual")
     height, width = (max(values) for values in zip(*(options.size(name) for name in options.cameras), strict=True))
     SubElement(visual, "global", {"offwidth": f"{width}", "offheight": f"{height}"})
-    # Shadows, multisampling and reflections cost ten times the rest when there is no graphics card.
+    # Without a GPU, shadows, multisampling and reflections take ten times as long as the rest.
     SubElement(
         visual, "quality", {"offsamples": "0", "shadowsize": "0", "numslices": "48", "numstacks": "8", "numquads": "2"}
     )
@@ -318,7 +318,7 @@ def _overhead() -> dict[str, str]:
 
 
 def _paint(model: Any, things: list[Thing], seed: list[int], background_seed: int | None) -> None:
-    """Fill in the textures, which the model only reserves room for."""
+    """Fill in the textures, for which the model only reserves memory."""
     images = {
         "table": textures.wood(np.random.default_rng([*seed, 2]), 512),
         "floor": textures.tiles(np.random.default_rng([*seed, 3]), 256),
@@ -334,7 +334,7 @@ def _paint(model: Any, things: list[Thing], seed: list[int], background_seed: in
         hue += rng.uniform(-0.02, 0.02)
         draw = textures.symmetric_faces if is_symmetric else textures.object_faces
         images[name] = draw(rng, hue, saturation, value)
-        for wall in (one for one in materials if one.startswith(f"{name}/")):
+        for wall in (material for material in materials if material.startswith(f"{name}/")):
             images[wall] = draw(rng, hue, saturation, value)
     for name, image in images.items():
         begin = int(model.tex_adr[model.texture(name).id])

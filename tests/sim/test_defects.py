@@ -41,16 +41,16 @@ def test_without_defects_depth_is_exact() -> None:
 
 
 @pytest.mark.parametrize(("z", "noise"), [(0.5, 0.005), (1.5, 0.005), (0.5, 0.02)])
-def test_noise_is_unbiased_and_as_wide_as_asked(z: float, noise: float) -> None:
+def test_noise_is_unbiased_and_has_the_requested_size(z: float, noise: float) -> None:
     error = measured(view_of(wall(z)), K, options(depth_noise=noise), np.random.default_rng(0)) - np.float32(z)
     sigma = 0.001 + noise * z
     assert error.std() == pytest.approx(sigma, rel=0.02)
     assert abs(error.mean()) < 4 * sigma / np.sqrt(error.size)
-    # Noise of neighbours is independent.
+    # The noise of neighbouring pixels is independent.
     assert abs(np.corrcoef(error[:, 1:].ravel(), error[:, :-1].ravel())[0, 1]) < 0.02
 
 
-def test_nothing_stays_nothing_and_something_stays_something() -> None:
+def test_noise_neither_adds_nor_removes_measurements() -> None:
     depth = wall(0.002)
     depth[:, ::2] = 0
     noisy = measured(view_of(depth), K, options(depth_noise=0.02), np.random.default_rng(0))
@@ -58,7 +58,7 @@ def test_nothing_stays_nothing_and_something_stays_something() -> None:
     assert ((stored(noisy) > 0) == (depth > 0)).all()
 
 
-def test_flying_pixels_lie_between_front_and_back_and_only_at_edges() -> None:
+def test_flying_pixels_are_between_foreground_and_background_and_only_at_edges() -> None:
     depth = step()
     flown = with_flying_pixels(depth, 0.4, np.random.default_rng(0))
     edges, _, _ = depth_edges(depth)
@@ -70,16 +70,16 @@ def test_flying_pixels_lie_between_front_and_back_and_only_at_edges() -> None:
     assert flown[changed].std() == pytest.approx(0.3 / np.sqrt(12), rel=0.2)
 
 
-def test_edge_of_nothing_does_not_fly() -> None:
+def test_edges_to_pixels_without_depth_have_no_flying_pixels() -> None:
     depth = wall(0.5)
     depth[:, W // 2 :] = 0
     np.testing.assert_array_equal(with_flying_pixels(depth, 1.0, np.random.default_rng(0)), depth)
 
 
-def test_holes_are_the_share_asked_for_in_patches() -> None:
+def test_holes_have_the_requested_share_in_patches() -> None:
     hole = holes(view_of(wall(0.6)), K, 0.1, np.random.default_rng(0))
     assert hole.mean() == pytest.approx(0.1, abs=0.001)
-    # Beside a missing pixel another is missing far more often than one in ten.
+    # Next to a missing pixel, another is missing far more often than one in ten.
     assert hole[:, 1:][hole[:, :-1]].mean() > 0.7
 
 
@@ -96,7 +96,7 @@ def test_glass_and_grazed_surfaces_have_more_holes() -> None:
     assert hole[:, : W // 2].mean() > 1.5 * hole[:, W // 2 :].mean()
 
 
-def test_no_holes_in_nothing() -> None:
+def test_an_image_without_depth_has_no_holes() -> None:
     assert not holes(view_of(wall(0.0)), K, 0.5, np.random.default_rng(0)).any()
 
 
@@ -118,13 +118,13 @@ def test_pose_noise_is_two_millimetres_and_a_fifth_of_a_degree_times_the_factor(
     noisy = noisy_poses(exact, 2.0, False, np.random.default_rng(0))
     off = invert_rigid(exact) @ noisy
     assert off[:, :3, 3].std() == pytest.approx(0.004, rel=0.05)
-    # About each axis 0.4 degrees: the whole angle is the length of such a vector.
+    # 0.4 degrees about each axis: the angle is the length of such a rotation vector.
     angles = np.degrees(rotation_angle(off[:, :3, :3]))
     assert np.sqrt((angles**2).mean() / 3) == pytest.approx(0.4, rel=0.05)
     assert np.abs(off[:, :3, :3] @ off[:, :3, :3].transpose(0, 2, 1) - np.eye(3)).max() < 1e-12
 
 
-def test_fixed_camera_is_always_off_the_same_way_and_no_noise_changes_nothing() -> None:
+def test_a_fixed_cameras_error_is_constant_and_zero_noise_changes_nothing() -> None:
     exact = np.tile(np.eye(4), (5, 1, 1))
     noisy = noisy_poses(exact, 1.0, True, np.random.default_rng(0))
     assert (noisy == noisy[0]).all()
@@ -132,6 +132,6 @@ def test_fixed_camera_is_always_off_the_same_way_and_no_noise_changes_nothing() 
     np.testing.assert_array_equal(noisy_poses(exact, 0.0, False, np.random.default_rng(0)), exact)
 
 
-def test_depth_is_stored_in_tenths_of_millimetres_as_far_as_16_bits_go() -> None:
+def test_depth_is_stored_in_tenths_of_millimetres_within_16_bits() -> None:
     depth = np.array([[0.0, 0.00004, 0.00006, 0.12344, 6.5535, 6.5536, 7.9]], dtype=np.float32)
     assert stored(depth).tolist() == [[0, 0, 1, 1234, 65535, 0, 0]]

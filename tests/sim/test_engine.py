@@ -19,7 +19,7 @@ def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
         import_mujoco()
 
 
-def test_without_anything_to_draw_with_the_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_opengl_the_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "nosuchthing")
     with pytest.raises(
         MissingDependency, match=r"MUJOCO_GL=nosuchthing: expected OpenGL without a screen.*libegl1.*MUJOCO_GL=osmesa"
@@ -39,7 +39,7 @@ def test_a_backend_that_mujoco_refuses_when_it_is_imported_is_reported() -> None
     assert "MissingDependency: simulator: MUJOCO_GL=nonsense: expected OpenGL without a screen" in answer.stderr
 
 
-def test_who_imported_mujoco_first_does_not_matter() -> None:
+def test_rendering_does_not_depend_on_who_imported_mujoco_first() -> None:
     code = (
         "import mujoco\n"
         "from bask_data.sim.options import SimOptions\n"

@@ -18,7 +18,7 @@ MEANT = {"microwave": "door", "lid": "lid", "phone": "phone", "rubbish": "rubbis
 
 
 def end_of(task: TaskName, seed: int = 0) -> World:
-    """The world as a demonstration leaves it."""
+    """The world after a demonstration."""
     world, take = world_of(task, seed), demonstration_of(task, seed)
     world.restore(take.layout)
     world.show(take.qpos[-1])
@@ -48,7 +48,7 @@ def test_phone_lies_in_its_cradle() -> None:
     assert world.touching() == [(1, 2)]
 
 
-def test_rubbish_is_in_the_bin_and_what_is_none_stays() -> None:
+def test_rubbish_is_in_the_bin_and_other_objects_stay() -> None:
     world, take = end_of("rubbish"), demonstration_of("rubbish")
     corners = world.data.geom_xpos[world.geoms_of("rubbish")]
     inside = (corners - world.world_from_body("bin")[:3, 3]) @ world.world_from_body("bin")[:3, :3]
@@ -64,7 +64,7 @@ def test_rubbish_is_in_the_bin_and_what_is_none_stays() -> None:
 def test_nothing_is_teleported(task: TaskName) -> None:
     take, world = demonstration_of(task), world_of(task)
     steps = np.linalg.norm(np.diff(take.world_from_objects[:, :, :3, 3], axis=0), axis=-1)
-    assert steps.max() * CONTROL_RATE < 1.5  # metres a second: a fall of ten centimetres ends at 1.4
+    assert steps.max() * CONTROL_RATE < 1.5  # Metres per second: a fall of ten centimetres ends at 1.4.
     assert take.robot is not None
     hand = np.linalg.norm(np.diff(take.robot.world_from_gripper[:, :3, 3], axis=0), axis=-1)
     assert hand.max() * CONTROL_RATE < 0.8
@@ -80,7 +80,7 @@ def test_nothing_is_teleported(task: TaskName) -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_actions_add_up_to_the_gripper_s_motion(task: TaskName) -> None:
+def test_actions_add_up_to_the_grippers_motion(task: TaskName) -> None:
     robot = demonstration_of(task).robot
     assert robot is not None
     assert robot.action_names == ACTION_NAMES
@@ -99,7 +99,7 @@ def test_actions_add_up_to_the_gripper_s_motion(task: TaskName) -> None:
     assert robot.gripper_width.min() >= 0 and robot.gripper_width.max() < 0.085
 
 
-def test_grasped_things_keep_the_fingers_apart() -> None:
+def test_grasped_objects_keep_the_fingers_apart() -> None:
     for task, width in (("phone", 0.034), ("lid", 0.034)):
         robot = demonstration_of(task).robot  # type: ignore[arg-type]
         assert robot is not None
@@ -107,7 +107,7 @@ def test_grasped_things_keep_the_fingers_apart() -> None:
         assert np.median(closed) == pytest.approx(width, abs=0.003)
 
 
-def test_same_seed_same_demonstration() -> None:
+def test_same_seed_gives_the_same_demonstration() -> None:
     takes = [demonstrate(World(SimOptions(task="lid", seed=2)), np.random.default_rng(4)) for _ in range(2)]
     assert takes[0] is not None and takes[1] is not None
     np.testing.assert_array_equal(takes[0].qpos, takes[1].qpos)
@@ -119,7 +119,7 @@ def test_doing_nothing_is_a_failure(task: TaskName, monkeypatch: pytest.MonkeyPa
     assert demonstrate(world_of(task), np.random.default_rng(0)) is None
 
 
-def test_moving_what_is_none_of_the_task_is_a_failure() -> None:
+def test_moving_an_object_outside_the_task_is_a_failure() -> None:
     world = end_of("rubbish")
     before = world.world_from_objects()
     assert experts._others_are_left_alone(world, before)
@@ -141,7 +141,7 @@ def test_free_spot_is_free() -> None:
 
 
 @pytest.mark.parametrize("yaw", [-3.0, -1.6, -0.2, 1.5, 1.7, 3.1])
-def test_half_turns_change_no_finger_line_and_stay_near(yaw: float) -> None:
+def test_nearest_half_turn_keeps_the_line_of_fingers_and_stays_close(yaw: float) -> None:
     near = nearest_half_turn(yaw)
     assert abs(near) <= np.pi / 2 + 1e-9
     assert abs(np.sin(near - yaw)) < 1e-9
@@ -152,7 +152,7 @@ def test_half_turns_change_no_finger_line_and_stay_near(yaw: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", TASKS)
-def test_experts_succeed_nine_times_in_ten(task: TaskName) -> None:
+def test_experts_succeed_in_nine_of_ten_attempts(task: TaskName) -> None:
     done = [
         demonstrate(World(SimOptions(task=task, seed=seed)), np.random.default_rng([seed, 1])) is not None
         for seed in range(24)

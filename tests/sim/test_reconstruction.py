@@ -11,7 +11,7 @@ from bask_data.sim.options import SimOptions
 from bask_data.sources.simulate import simulate
 
 
-def test_a_camera_that_stands_still_does_not_make_the_floor_worth_reconstructing(tmp_path: Path) -> None:
+def test_a_static_camera_does_not_extend_the_workspace_to_the_floor(tmp_path: Path) -> None:
     options = SimOptions(task="phone", height=60, width=80, frames=24, depth_noise=0.0)
     simulate(tmp_path / "d", options, n_scans=1, n_demonstrations=0)
     answer = CliRunner().invoke(app, ["reconstruct", str(tmp_path / "d"), "--voxel-size", "0.008"])

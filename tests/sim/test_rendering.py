@@ -23,11 +23,11 @@ from tests.sim.worlds import (
 )
 
 FACETS = 7e-4
-"""Metres by which the facets that stand for a round surface lie inside it."""
+"""Largest distance, metres, of the facets that approximate a round surface from it."""
 
 
 def rays_world(view: RenderedView, K: np.ndarray) -> np.ndarray:
-    """Directions in the world with a length of 1 along the camera's axis: they reach a surface at its z-depth."""
+    """Rays in the world frame with length 1 along the camera's axis, so that z-depth scales them to surfaces."""
     height, width = view.depth.shape
     return unproject(pixel_grid(height, width), np.ones((height, width)), K) @ view.world_from_camera[:3, :3].T
 
@@ -39,7 +39,7 @@ def inner(instance: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("camera", ["wrist", "overhead"])
-def test_table_is_where_rays_meet_the_height_zero(camera: str) -> None:
+def test_depth_of_the_table_is_where_rays_meet_height_zero(camera: str) -> None:
     world, take = world_of("phone"), scan_of("phone")
     K = intrinsics_of(world, camera)
     for view in views(world, take, camera, [0, 2, 5]):
@@ -53,7 +53,7 @@ def test_table_is_where_rays_meet_the_height_zero(camera: str) -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_depth_and_labels_are_those_of_rays_cast_without_a_picture(task: TaskName) -> None:
+def test_depth_and_labels_agree_with_ray_casting(task: TaskName) -> None:
     world, take = world_of(task), demonstration_of(task)
     rng = np.random.default_rng(0)
     for camera in ("wrist", "overhead"):
@@ -69,13 +69,13 @@ def test_depth_and_labels_are_those_of_rays_cast_without_a_picture(task: TaskNam
             else:
                 assert view.depth[v, u] == 0
         assert np.mean(same) > 0.99
-        # A ray along an inner edge of a body may pass on the other side of it.
+        # A ray along an inner edge of a body may pass on either side of it.
         assert np.quantile(errors, 0.98) < 2 * FACETS
         assert np.median(errors) < 1e-5
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_every_pixel_of_an_object_lies_on_its_surface_where_truth_says_it_is(task: TaskName) -> None:
+def test_every_pixel_of_an_object_lies_on_its_surface_at_the_ground_truth_pose(task: TaskName) -> None:
     world, take = world_of(task), demonstration_of(task)
     first, last = take.world_from_objects[0], take.world_from_objects[-1]
     assert np.linalg.norm(first[:, :3] - last[:, :3], axis=(1, 2)).max() > 0.1
@@ -95,7 +95,7 @@ def test_every_pixel_of_an_object_lies_on_its_surface_where_truth_says_it_is(tas
                     assert away.max() < FACETS
 
 
-def test_points_of_an_object_move_as_truth_says() -> None:
+def test_points_of_an_object_move_with_its_ground_truth_pose() -> None:
     world, take = world_of("phone"), demonstration_of("phone")
     label, K = world.labels["phone"], intrinsics_of(world, "overhead")
     row, last = label - 1, len(take.time) - 1
@@ -106,13 +106,13 @@ def test_points_of_an_object_move_as_truth_says() -> None:
     u, v = np.rint(uv).astype(int).T
     visible = inner(after.instance)[v, u] & (after.instance[v, u] == label) & (np.abs(after.depth[v, u] - z) < 0.004)
     assert visible.mean() > 0.2
-    # The same spots have the same colour, but for the light that now falls on them otherwise.
+    # The same points have the same colour, except for the changed lighting.
     a = before.rgb[before.instance == label][visible].astype(float)
     b = after.rgb[v[visible], u[visible]].astype(float)
     assert np.corrcoef(a.ravel(), b.ravel())[0, 1] > 0.9
 
 
-def test_glass_has_depth_and_label_and_shows_what_is_behind() -> None:
+def test_glass_has_depth_and_label_and_is_transparent() -> None:
     world, take = world_of("lid"), scan_of("lid")
     [view] = views(world, take, "overhead", [0])
     assert (view.instance[view.is_glass] == world.labels["lid"]).all()
@@ -122,7 +122,7 @@ def test_glass_has_depth_and_label_and_shows_what_is_behind() -> None:
     assert np.median(heights) == pytest.approx(lid + 0.008, abs=1e-4)
 
 
-def test_lid_looks_the_same_however_it_is_turned_and_other_objects_do_not() -> None:
+def test_only_the_lids_appearance_is_invariant_to_rotation() -> None:
     for task, name, symmetric in (("lid", "lid", True), ("rubbish", "can", False)):
         world, take = world_of(task), scan_of(task)  # type: ignore[arg-type]
         [before] = views(world, take, "overhead", [0])
@@ -139,7 +139,7 @@ def test_lid_looks_the_same_however_it_is_turned_and_other_objects_do_not() -> N
         assert (change < 3) == symmetric, (name, change)
 
 
-def test_gripper_is_in_the_picture_only_when_it_shall_be() -> None:
+def test_gripper_is_rendered_only_on_request() -> None:
     world, take = world_of("lid"), scan_of("lid")
     [hidden] = views(world, take, "wrist", [1], shows_gripper=False)
     [shown] = views(world, take, "wrist", [1], shows_gripper=True)
@@ -163,7 +163,7 @@ def test_cameras_of_different_sizes_share_one_renderer() -> None:
         assert np.abs(table[:, 2]).max() < 2e-5
 
 
-def test_principal_point_is_the_middle_of_integer_pixels() -> None:
+def test_principal_point_is_the_centre_of_integer_pixels() -> None:
     K = intrinsics(90.0, 100, 60)
     np.testing.assert_allclose(K, [[50, 0, 29.5], [0, 50, 49.5], [0, 0, 1]])
 
@@ -174,11 +174,11 @@ def test_depth_of_the_near_plane_the_far_plane_and_between() -> None:
     np.testing.assert_allclose(metric(buffer), [[NEAR, 0.5, 0.0]], rtol=1e-6)
 
 
-def test_a_picture_is_the_same_each_time() -> None:
+def test_rendering_is_deterministic() -> None:
     world, take = world_of("rubbish"), scan_of("rubbish")
-    one, other = (views(world, take, "wrist", [3])[0] for _ in range(2))
+    first, second = (views(world, take, "wrist", [3])[0] for _ in range(2))
     for name in ("rgb", "depth", "instance", "is_glass", "world_from_camera"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
 def test_objects_are_textured_and_differ_from_each_other() -> None:

@@ -12,7 +12,7 @@ from tests.sim.worlds import renderer_of
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_camera_goes_around_at_varied_distance_height_and_roll_and_sees_the_objects(task: TaskName) -> None:
+def test_camera_moves_around_with_varied_distance_height_and_roll_and_sees_the_objects(task: TaskName) -> None:
     world = World(SimOptions(task=task, height=48, width=64, frames=40))
     take = scan(world, np.random.default_rng(1))
     world.restore(take.layout)
@@ -42,7 +42,7 @@ def test_camera_goes_around_at_varied_distance_height_and_roll_and_sees_the_obje
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_distances_spread_as_far_as_asked_and_the_camera_stays_out_of_things(task: TaskName) -> None:
+def test_distances_have_the_requested_spread_and_the_camera_stays_outside_objects(task: TaskName) -> None:
     ratios = []
     for spread in (0.22, 0.6):
         world = World(SimOptions(task=task, height=48, width=64, frames=60, distance_spread=spread))
@@ -63,7 +63,7 @@ def test_distances_spread_as_far_as_asked_and_the_camera_stays_out_of_things(tas
     assert ratios[1] < 1.6 / 0.4 + 1e-6
 
 
-def test_wrist_camera_is_where_the_path_says() -> None:
+def test_wrist_camera_follows_the_path() -> None:
     world = World(SimOptions(task="lid", height=48, width=64, frames=7))
     take = scan(world, np.random.default_rng(0))
     world.restore(take.layout)
@@ -76,7 +76,7 @@ def test_wrist_camera_is_where_the_path_says() -> None:
         np.testing.assert_allclose(renderer_of(world).world_from_camera("wrist"), expected, atol=1e-6)
 
 
-def test_everything_but_the_gripper_stands_still() -> None:
+def test_only_the_gripper_moves() -> None:
     world = World(SimOptions(task="rubbish", height=48, width=64, frames=5))
     take = scan(world, np.random.default_rng(0))
     assert (take.world_from_objects == take.world_from_objects[0]).all()
@@ -86,7 +86,7 @@ def test_everything_but_the_gripper_stands_still() -> None:
     assert np.ptp(take.qpos[:, world.address("left")]) > 0.01
 
 
-def test_a_camera_looks_where_it_is_told() -> None:
+def test_a_camera_looks_at_its_target() -> None:
     eye, at = np.array([0.3, -0.4, 0.5]), np.array([0.1, 0.1, 0.0])
     for roll in (0.0, 0.7):
         world_from_camera = looking(eye, at, roll)

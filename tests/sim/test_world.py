@@ -15,7 +15,7 @@ TOUCHING: dict[TaskName, list[tuple[int, int]]] = {"microwave": [(1, 2)], "lid":
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_objects_stand_apart_and_still_on_the_table_wherever_they_are_put(task: TaskName) -> None:
+def test_objects_are_at_rest_on_the_table_and_apart_in_every_layout(task: TaskName) -> None:
     world = world_of(task, clutter=3)
     places = []
     for seed in range(6):
@@ -34,43 +34,43 @@ def test_objects_stand_apart_and_still_on_the_table_wherever_they_are_put(task: 
 
 
 def test_same_seed_gives_the_same_world_and_another_seed_other_objects() -> None:
-    one, same, other = (World(SimOptions(task="rubbish", seed=seed)) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(one.model.tex_data, same.model.tex_data)
-    np.testing.assert_array_equal(one.model.geom_size, same.model.geom_size)
-    assert (one.model.tex_data != other.model.tex_data).mean() > 0.5
-    assert not np.allclose(one.model.geom_size, other.model.geom_size)
-    layouts = [world.lay_out(np.random.default_rng(7)) for world in (one, same)]
+    first, same, other = (World(SimOptions(task="rubbish", seed=seed)) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first.model.tex_data, same.model.tex_data)
+    np.testing.assert_array_equal(first.model.geom_size, same.model.geom_size)
+    assert (first.model.tex_data != other.model.tex_data).mean() > 0.5
+    assert not np.allclose(first.model.geom_size, other.model.geom_size)
+    layouts = [world.lay_out(np.random.default_rng(7)) for world in (first, same)]
     for name in vars(layouts[0]):
         np.testing.assert_array_equal(getattr(layouts[0], name), getattr(layouts[1], name))
 
 
-def test_another_background_shows_the_same_objects_at_the_same_places_of_another_table() -> None:
+def test_another_background_changes_the_table_but_not_the_objects_and_their_poses() -> None:
     seen = []
     for background_seed in (None, 1, 1, 2):
         world = world_of("phone", background_seed=background_seed)
         [view] = views(world, scan(world, np.random.default_rng(0)), "wrist", [3])
         seen.append(view)
-    usual, one, again, other = seen
-    for view in (one, other):
+    usual, first, again, other = seen
+    for view in (first, other):
         np.testing.assert_array_equal(view.instance, usual.instance)
         np.testing.assert_array_equal(view.depth, usual.depth)
         on_objects = view.instance > 0
         np.testing.assert_array_equal(view.rgb[on_objects], usual.rgb[on_objects])
         ground = (view.instance == 0) & (view.depth > 0)
         assert (view.rgb != usual.rgb).any(axis=-1)[ground].mean() > 0.9
-    np.testing.assert_array_equal(one.rgb, again.rgb)
-    assert np.abs(one.rgb.astype(int) - other.rgb).mean() > 10
+    np.testing.assert_array_equal(first.rgb, again.rgb)
+    assert np.abs(first.rgb.astype(int) - other.rgb).mean() > 10
 
 
 def test_coverings_of_many_seeds_differ_in_colour_and_pattern() -> None:
     coverings = [textures.covering(np.random.default_rng([seed, 0]), 64).astype(float) for seed in range(12)]
     assert np.ptp([covering.mean(axis=(0, 1)) for covering in coverings], axis=0).min() > 60
     along = np.array([[covering.std(axis=axis).mean() for axis in (0, 1)] for covering in coverings])
-    # Stripes run along one axis, stone and cheques along none.
+    # Stripes vary along one axis only, stone and cheques along both.
     assert (along[:, 0] > 2 * along[:, 1]).any() and (along[:, 0] < 1.3 * along[:, 1]).any()
 
 
-def test_a_scene_does_not_depend_on_the_ones_before() -> None:
+def test_a_scene_does_not_depend_on_earlier_ones() -> None:
     world = World(SimOptions(task="phone"))
     fresh = world.lay_out(np.random.default_rng(5))
     world.lay_out(np.random.default_rng(6))
@@ -80,7 +80,7 @@ def test_a_scene_does_not_depend_on_the_ones_before() -> None:
     np.testing.assert_array_equal(fresh.light_diffuse, again.light_diffuse)
 
 
-def test_more_clutter_leaves_the_task_s_objects_and_labels_as_they_were() -> None:
+def test_more_clutter_does_not_change_the_tasks_objects_and_labels() -> None:
     bare, full = (world_of("rubbish", clutter=n) for n in (0, 3))
     assert full.label_names == {**bare.label_names, 5: "clutter1", 6: "clutter2", 7: "clutter3"}
     for name in bare.labels:
@@ -89,15 +89,17 @@ def test_more_clutter_leaves_the_task_s_objects_and_labels_as_they_were() -> Non
         )
 
 
-def test_all_the_clutter_there_may_be_finds_room() -> None:
+def test_the_largest_clutter_fits_on_the_table() -> None:
     for task in TASKS:
         world = world_of(task, clutter=MAX_CLUTTER)
         world.lay_out(np.random.default_rng(0))
 
 
-def test_no_room_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_objects_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(world_module, "GAP", 0.5)
-    with pytest.raises(UsageError, match="--clutter: expected objects that find room 50 cm apart, got 4 objects"):
+    with pytest.raises(
+        UsageError, match="--clutter: expected objects that fit on the table 50 cm apart, got 4 objects"
+    ):
         World(SimOptions(task="rubbish")).lay_out(np.random.default_rng(0))
 
 
@@ -112,14 +114,14 @@ def test_the_door_starts_open() -> None:
 
 
 @pytest.mark.parametrize("task", ["microwave", "rubbish"])
-def test_no_two_walls_of_a_hollow_object_look_alike(task: TaskName) -> None:
-    """A texture goes through a body: of two walls with one texture, the inside of one is the outside of the other."""
+def test_the_walls_of_a_hollow_object_differ(task: TaskName) -> None:
+    """A texture extends through a body: with one texture, the inside of a wall would show the outside of another."""
     world = World(SimOptions(task=task))
     materials = world.things[{"microwave": "microwave", "rubbish": "bin"}[task]].materials
     pictures = [_texture(world, name) for name in materials]
     assert len(materials) >= 5
-    for i, one in enumerate(pictures):
-        assert all((one != other).mean() > 0.5 for other in pictures[:i])
+    for i, picture in enumerate(pictures):
+        assert all((picture != other).mean() > 0.5 for other in pictures[:i])
 
 
 def _texture(world: World, name: str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Small simulated worlds for tests, and what is known of them without a renderer: rays and surfaces by formula."""
+"""Small simulated worlds for tests, and their analytic rays and surfaces, independent of the renderer."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SIZE = {"height": 96, "width": 128}
 
 @cache
 def world_of(task: TaskName, seed: int = 0, clutter: int = 0, **options: object) -> World:
-    """A world to look at; put it where it should be first, for other tests use it, too."""
+    """A world shared by tests; set its state first."""
     return World(SimOptions(task=task, seed=seed, clutter=clutter, frames=6, **{**SIZE, **options}))
 
 
@@ -39,7 +39,7 @@ def demonstration_of(task: TaskName, seed: int = 0) -> Take:
 
 @cache
 def renderer_of(world: World) -> Renderer:
-    """One renderer a world: making one costs more than a hundred pictures."""
+    """The renderer of a world, cached: creating one takes longer than a hundred images."""
     renderer = Renderer(world)
     atexit.register(renderer.close)
     return renderer
@@ -48,7 +48,7 @@ def renderer_of(world: World) -> Renderer:
 def views(
     world: World, take: Take, camera: str, frames: list[int], shows_gripper: bool | None = None
 ) -> list[RenderedView]:
-    """What a camera sees at some frames; the world is left at the last one."""
+    """Images of a camera at some frames; the world stays at the last one."""
     world.restore(take.layout)
     renderer = renderer_of(world)
     renderer.shows_gripper = take.shows_gripper if shows_gripper is None else shows_gripper
@@ -64,20 +64,20 @@ def intrinsics_of(world: World, camera: str) -> np.ndarray:
 
 
 def points_world(view: RenderedView, K: np.ndarray) -> np.ndarray:
-    """What each pixel sees, in the world."""
+    """Point of each pixel, world frame, metres."""
     height, width = view.depth.shape
     return transform(view.world_from_camera, unproject(pixel_grid(height, width), view.depth.astype(np.float64), K))
 
 
 def first_hit(world: World, eye: np.ndarray, direction: np.ndarray) -> tuple[int, float]:
-    """Geom and ray parameter that MuJoCo's ray caster finds, which knows nothing of pictures; geom -1 for none."""
+    """Geom (-1: none) and ray parameter of the first hit by MuJoCo's ray caster, independent of the renderer."""
     geom = np.full((1, 1), -1, dtype=np.int32)
     parameter = mujoco.mj_ray(world.model, world.data, eye, direction, None, 1, -1, geom)
     return int(geom[0, 0]), float(parameter)
 
 
 def distance_to_surface(world: World, geom: int, points: np.ndarray) -> np.ndarray:
-    """Metres between points (n, 3) in the world and the surface of a box, a cylinder or an ellipsoid (about)."""
+    """Distance, metres, of world points (n, 3) from a box, a cylinder or (approximately) an ellipsoid."""
     data, model = world.data, world.model
     world_from_geom = np.eye(4)
     world_from_geom[:3, :3] = data.geom_xmat[geom].reshape(3, 3)
