@@ -1,4 +1,4 @@
-"""The kinds of artifact, one module each: a typed handle, its schema, how to read and how to write it."""
+"""The kinds of artifact, one module each: typed handle, schema, reading and writing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Zarr arrays as the kinds use them: one frame a chunk, whole shards written at once, a checksum on every chunk."""
+"""Zarr arrays of the kinds: one chunk per frame, shards written as a whole, a checksum on every chunk."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ if TYPE_CHECKING:
     import zarr
 
 SHARD_FRAMES = 64
-"""Frames in a shard, which is a file, written whole and the unit of progress; single frames written into one cost 10
-times as much."""
+"""Frames per shard. A shard is a file, written as a whole, and the unit of progress; writing single frames takes 10
+times as long."""
 
 _SHARD_BYTES = 96 * 2**20
-"""Size of a shard before compression, at most: it is kept in memory while it is written."""
+"""Largest size of a shard before compression, bytes: it is in memory while it is written."""
 
 CHUNK_ROWS = 256
-"""Rows of a series in a chunk: few enough to wait for, many enough that an hour does not become thousands of files."""
+"""Rows per chunk of a series: few enough to lose little, enough that an hour does not become thousands of files."""
 _ROWS_PER_CHUNK = 2**18
-"""Rows of a table-like array in a chunk: 3 MB of vertices, a few reads for a mesh."""
+"""Rows per chunk of a whole array: 3 MB of vertices, a few reads for a mesh."""
 
 
 def start(out: Path, artifact: type[Artifact], metadata: dict[str, Any] | None = None) -> zarr.Group:
-    """Make `out` the root group of an artifact and return it for writing.
+    """Create the root group of an artifact in `out`.
 
-    The metadata is checked against the kind's model here, so that a stage cannot publish what no reader accepts.
+    The metadata is validated by the kind's model, so that a stage cannot publish what readers refuse.
     """
     import zarr
 
@@ -59,9 +59,9 @@ def write_array(group: zarr.Group, artifact: type[Artifact], name: str, data: np
 
 
 class FrameWriter:
-    """Appends frames to one array, a shard at a time, so that memory does not grow with the number of frames.
+    """Writer of an array of frames, shard by shard, so that memory does not grow with the number of frames.
 
-    zarr truncates an assignment of the wrong length without a word; `close` therefore counts.
+    zarr silently truncates assignments of a wrong length; `close` therefore checks the number of frames.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class FrameWriter:
         self._name, self._n_frames, self._n_written, self._n_buffered = name, n_frames, 0, 0
 
     def append(self, frame: np.ndarray) -> None:
-        """Add the next frame."""
+        """Append a frame; `ValueError` for another shape or type, or too many frames."""
         if frame.shape != self._buffer.shape[1:] or frame.dtype != self._buffer.dtype:
             raise ValueError(
                 f"{self._name}: expected a frame {self._buffer.shape[1:]} {self._buffer.dtype}, "
@@ -108,7 +108,7 @@ class FrameWriter:
             self._flush()
 
     def close(self) -> None:
-        """Write what is buffered. Every announced frame must have come."""
+        """Write the buffer; `ValueError` if frames are missing."""
         self._flush()
         if self._n_written != self._n_frames:
             raise ValueError(f"{self._name}: {self._n_written} frames written, {self._n_frames} announced")
@@ -121,10 +121,10 @@ class FrameWriter:
 
 
 class RowWriter:
-    """Appends small rows to one array, a chunk at a time. Nobody needs to know how many there will be.
+    """Writer of an array of small rows of any number, chunk by chunk.
 
     Args:
-        n_kept: rows to go on after, of what a killed writer left: whole chunks. What it wrote beyond goes.
+        n_kept: rows to keep of an unfinished array, whole chunks; later ones are dropped.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class RowWriter:
         import numpy as np
         import zarr.codecs
 
-        assert n_kept % CHUNK_ROWS == 0, "only whole chunks can be gone on after"
+        assert n_kept % CHUNK_ROWS == 0, "only whole chunks can be kept"
         spec = spec_of(artifact, name)
         if n_kept:
             self._array: zarr.Array = group[name]  # type: ignore[assignment]
@@ -153,7 +153,7 @@ class RowWriter:
         self._buffer = np.empty((CHUNK_ROWS, *row_shape), dtype=spec.dtype)
 
     def append(self, row: np.ndarray) -> bool:
-        """Add a row; whether that was the last of a chunk, so that all rows so far are on disk."""
+        """Append a row; True if it completes a chunk, so that all rows so far are on disk."""
         if row.shape != self._buffer.shape[1:]:
             raise ValueError(f"{self._name}: expected a row {self._buffer.shape[1:]}, got {row.shape}")
         self._buffer[self._n_buffered] = row
@@ -164,7 +164,7 @@ class RowWriter:
         return False
 
     def close(self) -> None:
-        """Write what is buffered."""
+        """Write the buffer."""
         if not self._n_buffered:
             return
         begin = self._array.shape[0]
@@ -175,12 +175,12 @@ class RowWriter:
 
 
 def _sync_chunk(array: zarr.Array, i_chunk: int) -> None:
-    """Force a chunk and what leads to it to disk, before anything relies on it."""
+    """Force a chunk and its folders to disk."""
     folder = Path(str(array.store_path.store.root)) / array.path  # type: ignore[attr-defined]
     chunk = folder / "c" / str(i_chunk)
-    # zarr writes no chunk that is zeros throughout.
-    there = [*chunk.rglob("*"), chunk, folder / "c"] if chunk.exists() else []
-    for path in (*there, folder / "zarr.json", folder):
+    # zarr does not write chunks of zeros.
+    paths = [*chunk.rglob("*"), chunk, folder / "c"] if chunk.exists() else []
+    for path in (*paths, folder / "zarr.json", folder):
         descriptor = os.open(path, os.O_RDONLY)
         try:
             os.fsync(descriptor)
@@ -189,7 +189,7 @@ def _sync_chunk(array: zarr.Array, i_chunk: int) -> None:
 
 
 def read_frame(array: zarr.Array, i_frame: int, where: Path) -> np.ndarray:
-    """One frame of a stream; `BadData` when its chunk does not decode."""
+    """One frame of an array; `BadData` if its chunk does not decode."""
     if not 0 <= i_frame < array.shape[0]:
         raise IndexError(f"{where}: frame {i_frame} of {array.shape[0]}")
     try:
@@ -199,21 +199,21 @@ def read_frame(array: zarr.Array, i_frame: int, where: Path) -> np.ndarray:
 
 
 def read_all(group: zarr.Group, name: str, where: Path) -> np.ndarray:
-    """A whole array; `BadData` when it is missing or does not decode.
+    """A whole array in native byte order; `BadData` if it is missing or does not decode.
 
-    zarr gives an explicit byte order, `<f8`, which Open3D refuses even where it is the machine's own.
+    zarr returns an explicit byte order, `<f8`, which Open3D refuses even if it is native.
     """
     try:
         array = group[name][...]  # type: ignore[index]
     except KeyError:
-        raise BadData(where, name, expected="an array", got="nothing", fix=REMAKE) from None
+        raise BadData(where, name, expected="an array", got="none", fix=REMAKE) from None
     except Exception as error:
         raise BadData(where, name, expected="readable chunks", got=str(error), fix=REMAKE) from error
     return array.astype(array.dtype.newbyteorder("="))  # type: ignore[union-attr,return-value]
 
 
 def spec_of(artifact: type[Artifact], name: str) -> ArraySpec:
-    """The schema's entry for an array, where the name of a camera stands for `{camera}`."""
+    """The schema's entry for an array, with a camera's name in place of `{camera}`."""
     if name in artifact.arrays:
         return artifact.arrays[name]
     return artifact.arrays["{camera}/" + name.split("/", 1)[-1]]
@@ -221,5 +221,5 @@ def spec_of(artifact: type[Artifact], name: str) -> ArraySpec:
 
 def _attributes(spec: ArraySpec, attributes: dict[str, object]) -> dict[str, Any]:
     missing = set(spec.attributes) - set(attributes)
-    assert not missing, f"attributes {missing} are promised by the schema"
+    assert not missing, f"the schema requires the attributes {missing}"
     return {"description": spec.description, **({"units": spec.units} if spec.units else {}), **attributes}

@@ -1,4 +1,4 @@
-"""Streams of posed RGB-D frames, as scans and demonstrations hold them, one group a camera."""
+"""Posed RGB-D frames of scans and demonstrations, one group per camera."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ CAMERA_ARRAYS = {
 
 
 class RecordingMetadata(Metadata):
-    """Where a recording came from, and what was assumed in reading it."""
+    """Source format of a recording, and the assumptions made when it was read."""
 
     format: str
     assumptions: dict[str, str] = {}
 
 
 class Camera:
-    """One camera's frames, read one at a time."""
+    """Frames of one camera, read one at a time."""
 
     def __init__(self, group: zarr.Group, path: Path) -> None:
         self._group = group
@@ -54,14 +54,17 @@ class Camera:
 
     @property
     def n_frames(self) -> int:
+        """Number of frames."""
         return self._rgb.shape[0]
 
     @property
     def height(self) -> int:
+        """Height of the images, pixels."""
         return self._rgb.shape[1]
 
     @property
     def width(self) -> int:
+        """Width of the images, pixels."""
         return self._rgb.shape[2]
 
     @cached_property
@@ -76,7 +79,7 @@ class Camera:
 
     @cached_property
     def world_from_cameras(self) -> np.ndarray:
-        """(t, 4, 4) float64, metres."""
+        """Poses (t, 4, 4) float64, metres; `BadData` if one is not rigid."""
         from bask_data.core.geometry import rigid_fault
 
         transforms = read_all(self._group, "world_from_camera", self.path)
@@ -88,7 +91,7 @@ class Camera:
 
     @cached_property
     def time(self) -> np.ndarray:
-        """(t,) float64, seconds."""
+        """Times of the frames (t,) float64, seconds."""
         return read_all(self._group, "time", self.path)
 
     @cached_property
@@ -111,7 +114,7 @@ class Camera:
         return self.depth_raw(i_frame).astype(np.float32) * np.float32(self.depth_scale)
 
     def points_world(self, i_frame: int, uv: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """World points (n, 3), metres, that pixels (n, 2) of a frame show at z-depths (n,), metres."""
+        """World points (n, 3), metres, of pixels (n, 2) of a frame at z-depths (n,), metres."""
         import numpy as np
 
         from bask_data.core.geometry import transform, unproject
@@ -130,15 +133,15 @@ class Camera:
 
 @dataclass(frozen=True)
 class CameraFrames:
-    """One camera's frames as they are written, read one at a time.
+    """Frames of one camera to be written, read one at a time.
 
     Args:
-        K: (3, 3), or (t, 3, 3) where it changes.
-        world_from_cameras: (t, 4, 4).
+        K: (3, 3), pixels.
+        world_from_cameras: (t, 4, 4), metres.
         time: (t,), seconds.
-        depth_scale: metres per unit of the depth that is read.
-        size: (height, width).
-        read: gives (rgb (h, w, 3) uint8, depth (h, w) uint16 in units of `depth_scale` metres) of a frame.
+        depth_scale: metres per unit of raw depth.
+        size: (height, width), pixels.
+        read: returns rgb (h, w, 3) uint8 and raw depth (h, w) uint16 of a frame.
     """
 
     K: np.ndarray
@@ -156,7 +159,7 @@ class Recording(Artifact):
     arrays = CAMERA_ARRAYS
 
     def camera(self, name: str) -> Camera:
-        """One camera's stream."""
+        """The frames of a camera."""
         return Camera(self.group[name], self.path / name)  # type: ignore[arg-type]
 
     @property
@@ -173,7 +176,7 @@ class Recording(Artifact):
         *,
         frames: Callable[[range], object] = iter,
     ) -> None:
-        """Stream one camera's frames into the artifact.
+        """Write a camera's frames, one in memory at a time.
 
         Args:
             frames: wraps the range of frames, to show progress.
@@ -201,5 +204,5 @@ class Scan(Recording):
 
     @staticmethod
     def start(out: Path, format: str, assumptions: dict[str, str]) -> zarr.Group:
-        """Begin writing; cameras follow with `write_camera`."""
+        """Begin writing; `write_camera` adds the cameras."""
         return start(out, Scan, {"format": format, "assumptions": assumptions})

@@ -25,27 +25,26 @@ Rejection = Literal[
     "cycle",
     "edge_in_b",
 ]
-"""Why a pixel that was tried is no match; of several reasons the first.
+"""Why a candidate pixel is not a match: the first test that it failed.
 
 - `outside_b`: its point is outside the second image.
-- `no_depth_in_b`: what the second frame shows there has no known depth.
-- `hidden_in_b`: something stands in front.
-- `other_surface_in_b`: what is seen there is farther away.
-- `other_instance_in_b`: what is seen there is another object, or none.
+- `no_depth_in_b`: the second frame has no depth there.
+- `hidden_in_b`: an occluder is in front of the point.
+- `other_surface_in_b`: the visible surface is farther away.
+- `other_instance_in_b`: the pixel shows another object, or none.
 - `doubtful_in_b`: the same object, but at the edge of its mask or of a surface, seen too obliquely, or contradicted by
   the measurement.
-- `cycle`: the way back by the depth of the second frame ends elsewhere.
-- `edge_in_b`: something in front is so close that it may hide the point.
+- `cycle`: the way back by the depth of the second frame does not return to the pixel.
+- `edge_in_b`: an occluder is so close to the pixel that it may hide the point.
 """
 ROWS_PER_GROUP = 1 << 16
-"""Rows gathered before they are written, as a row group: 1 MB of matches."""
+"""Rows per row group, buffered until written: 1 MB of matches."""
 TABLES_KEPT = 256
-"""Small tables gathered before they become one: each costs kilobytes, however few its rows."""
+"""Small tables buffered before they are concatenated: each takes kilobytes, however few its rows."""
 
 
 class CorrespondencesMetadata(Metadata):
-    """How many pixels were tried, how many of them failed which test first, and what a person should know
-    (`warnings`)."""
+    """Numbers of candidate pixels, of matches and of rejections by reason; warnings for the user."""
 
     n_pairs: int
     n_attempts: int
@@ -55,7 +54,7 @@ class CorrespondencesMetadata(Metadata):
 
 
 class PairRow(Metadata):
-    """Two frames. `distance` in metres and `angle` in radians between the cameras."""
+    """Two frames, with distance (metres) and angle (radians) between their cameras."""
 
     camera_a: str
     frame_a: int
@@ -112,16 +111,16 @@ class Correspondences(Artifact):
         return read_table(self, "pairs.parquet")
 
     def matches(self, pairs: Sequence[int] | None = None) -> pa.Table:
-        """Matches of some pairs, or of all; sorted by pair."""
+        """Matches of all pairs, or of the given ones, sorted by pair."""
         filters = None if pairs is None else [("pair", "in", [int(pair) for pair in pairs])]
         return read_table(self, "matches.parquet", filters=filters)
 
     def rejections(self) -> pa.Table:
-        """Pixels that were tried and are no match, by pair, object and reason."""
+        """Numbers of rejected pixels by pair, object and reason."""
         return read_table(self, "rejections.parquet")
 
     def summary(self) -> list[str]:
-        """What became of the pixels that were tried, a line each, the most frequent first."""
+        """Outcomes of the candidate pixels, one per line, the most frequent first."""
         numbers = self.metadata
         outcomes = [("match", numbers.n_matches), *sorted(numbers.rejections.items(), key=lambda row: -row[1])]
         return [f"{numbers.n_pairs} pairs of frames, {numbers.n_attempts} pixels tried"] + [
@@ -131,7 +130,7 @@ class Correspondences(Artifact):
     @staticmethod
     @contextmanager
     def writer(out: Path) -> Iterator[CorrespondencesWriter]:
-        """Write pairs as they come; `warnings` may be added to on the way."""
+        """Open a writer of pairs; `warnings` may be appended to until it closes."""
         out.mkdir(parents=True, exist_ok=True)
         writer = CorrespondencesWriter(out)
         yield writer
@@ -139,7 +138,7 @@ class Correspondences(Artifact):
 
 
 class CorrespondencesWriter:
-    """Streams pairs into an artifact, whole pairs in a row group."""
+    """Writer of pairs; a row group holds whole pairs."""
 
     def __init__(self, out: Path) -> None:
         self._out = out
@@ -156,11 +155,11 @@ class CorrespondencesWriter:
         matches: Mapping[str, np.ndarray],
         rejections: Mapping[tuple[int, str], int] | None = None,
     ) -> None:
-        """Add a pair.
+        """Append a pair.
 
         Args:
-            matches: `instance` (m,) uint8 and `u_a`, `v_a`, `u_b`, `v_b` (m,) float32.
-            rejections: number of pixels by the object they show and the reason.
+            matches: `instance` (m,) uint8 and `u_a`, `v_a`, `u_b`, `v_b` (m,) float32, pixels.
+            rejections: number of pixels by object and reason.
         """
         n = len(matches["instance"])
         pair = self._n_pairs
@@ -180,7 +179,7 @@ class CorrespondencesWriter:
         self._n_matches += n
 
     def close(self) -> None:
-        """Write what is buffered, and the totals."""
+        """Write the buffers and the metadata."""
         for table in (self._pairs, self._matches, self._rejections):
             table.close()
         metadata = CorrespondencesMetadata(
@@ -195,7 +194,7 @@ class CorrespondencesWriter:
 
 
 class TableWriter:
-    """Streams rows into a Parquet table; what is appended together stays in one row group."""
+    """Writer of a Parquet table; rows appended together stay in one row group."""
 
     def __init__(self, out: Path, name: str) -> None:
         import pyarrow.parquet as pq
@@ -206,7 +205,7 @@ class TableWriter:
         self._n_waiting = 0
 
     def append(self, columns: Mapping[str, Any]) -> None:
-        """Add rows, by column."""
+        """Append rows, given by column."""
         import pyarrow as pa
 
         self._waiting.append(pa.table({name: columns[name] for name in self._schema.names}, schema=self._schema))
@@ -217,7 +216,7 @@ class TableWriter:
             self._waiting = [pa.concat_tables(self._waiting).combine_chunks()]
 
     def close(self) -> None:
-        """Write what is left and the table's footer."""
+        """Write the remaining rows and the table's footer."""
         self._flush()
         self._file.close()
 

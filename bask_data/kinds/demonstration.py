@@ -1,4 +1,4 @@
-"""Demonstrations: RGB-D frames in order, and what the robot did."""
+"""Demonstrations: RGB-D frames of a task, and the robot's states and actions."""
 
 from __future__ import annotations
 
@@ -15,13 +15,20 @@ if TYPE_CHECKING:
 
 
 class DemonstrationMetadata(RecordingMetadata):
-    """As of a scan, and the names of the action's columns."""
+    """Metadata of a recording, and names of the action's columns."""
 
     action_names: list[str] = []
 
 
 class Robot:
-    """The robot's side of a demonstration; what was not recorded is None."""
+    """The robot's states and actions; None for those not recorded.
+
+    Args:
+        world_from_gripper: (t, 4, 4), metres.
+        gripper_width: (t,), metres.
+        action: (t, a), units as recorded.
+        action_names: names of the action's columns.
+    """
 
     def __init__(
         self,
@@ -55,23 +62,23 @@ class Demonstration(Recording):
 
     @property
     def robot(self) -> Robot | None:
-        """What the robot did, or None if only cameras were recorded."""
+        """The robot's states and actions; None if only cameras were recorded."""
         if "robot" not in self.group:
             return None
         names = [name for name in ("world_from_gripper", "gripper_width", "action") if f"robot/{name}" in self.group]
-        found = {name: read_all(self.group, f"robot/{name}", self.path) for name in names}
-        return Robot(**found, action_names=tuple(self.metadata.action_names))
+        arrays = {name: read_all(self.group, f"robot/{name}", self.path) for name in names}
+        return Robot(**arrays, action_names=tuple(self.metadata.action_names))
 
     @staticmethod
     def start(out: Path, format: str, assumptions: dict[str, str], action_names: tuple[str, ...] = ()) -> zarr.Group:
-        """Begin writing; cameras follow with `write_camera`, the robot with `write_robot`."""
+        """Begin writing; `write_camera` adds the cameras, `write_robot` the robot."""
         return start(
             out, Demonstration, {"format": format, "assumptions": assumptions, "action_names": list(action_names)}
         )
 
     @staticmethod
     def write_robot(out: Path, group: zarr.Group, robot: Robot) -> None:
-        """Add what the robot did."""
+        """Write the robot's states and actions."""
         write_group(out / "robot", {"bask": {"role": "robot"}})
         for name in ("world_from_gripper", "gripper_width", "action"):
             values = getattr(robot, name)

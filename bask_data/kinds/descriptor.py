@@ -1,4 +1,4 @@
-"""Descriptor networks: trained weights and what is needed to run them."""
+"""Descriptor networks: trained weights and their description."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
 
 
 class DescriptorMetadata(Metadata):
-    """How well the network did.
+    """Training and validation of the network.
 
     Args:
-        validated_on: what the validation metrics were measured on, in words.
+        validated_on: data of the validation metrics, in words.
         metrics: loss terms and validation metrics of the published weights, by name.
-        step: optimiser steps after which the weights were as published.
-        chosen_by: the metric that was best then; null: they are the last.
-        learned_from: the scenes it was trained on; null: not known.
-        held_out: share of each camera's frames in them, the last, that were kept from training.
+        step: optimiser steps of the published weights.
+        chosen_by: metric by which they were selected; null: they are the last ones.
+        learned_from: training scenes; null: unknown.
+        held_out: share of each camera's frames in these scenes, the last ones, that were excluded from training.
     """
 
     validated_on: str
@@ -65,10 +65,10 @@ class DescriptorNet(Artifact):
         return read_json(self.path / "model.json")
 
     def network(self) -> DescriptorNetwork:
-        """The network, ready to describe images.
+        """The network, ready for inference.
 
         Raises:
-            BadData: description or weights are damaged, or of another version.
+            BadData: description or weights are corrupted, or of another version.
         """
         from bask_data.nn.network import load
 
@@ -77,14 +77,14 @@ class DescriptorNet(Artifact):
             return load(self.path)
         except BadData:
             raise
-        except Exception as error:  # torch and safetensors raise their own kinds for broken files.
+        except Exception as error:  # torch and safetensors raise their own exceptions for corrupted files.
             got = str(error)[:200]
             raise BadData(self.path, "", expected="a network that loads", got=got, fix=REMAKE) from error
 
     def _check_weights(self) -> None:
-        """Refuse weights other than the published ones: a network with a spoilt number gives figures, too.
+        """Refuse weights other than the published ones, as a network with a corrupted weight still runs.
 
-        Its files alone, without the manifest, are a network as well; nothing says then what they should be.
+        Without a manifest, the files are accepted unchecked.
         """
         name = "weights.safetensors"
         if not (self.path / MANIFEST).exists() or name not in self.manifest.files:
@@ -96,11 +96,11 @@ class DescriptorNet(Artifact):
             )
 
     def curve(self) -> pa.Table:
-        """The training curve as (step, name, value) rows."""
+        """The training curve as rows of step, name and value."""
         return read_table(self, "curve.parquet")
 
     def summary(self) -> list[str]:
-        """What it was validated on, which weights these are, and the curves of the loss and the metric."""
+        """Data of the validation, step of the weights, and curves of the loss and the metric, as lines of text."""
         rows = self.curve().to_pylist()
         metadata = self.metadata
         n_steps = max((row["step"] for row in rows), default=0)
@@ -124,7 +124,7 @@ class DescriptorNet(Artifact):
         learned_from: tuple[str, ...] | None = None,
         held_out: float = 0.0,
     ) -> None:
-        """Write metadata and curve; `weights.safetensors` and `model.json` are written beside them by the network."""
+        """Write metadata and curve; the network itself writes `weights.safetensors` and `model.json`."""
         metadata = {"validated_on": validated_on, "metrics": metrics, "step": step, "chosen_by": chosen_by}
         start(out, DescriptorNet, {**metadata, "learned_from": learned_from, "held_out": held_out})
         columns = {
@@ -136,7 +136,7 @@ class DescriptorNet(Artifact):
 
 
 def _drawn(points: list[tuple[int, float]], width: int = 60, height: int = 6) -> list[str]:
-    """A curve in characters."""
+    """A curve as lines of text."""
     import plotille
 
     steps, values = zip(*points, strict=True)

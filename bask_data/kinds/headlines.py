@@ -1,4 +1,4 @@
-"""How much there is in artifacts of a kind, and how good it is, in one line each: what a run ends with."""
+"""One-line summaries of artifacts by kind, with amount and quality, printed at the end of a run."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from bask_data.kinds.reference import ReferenceKeypoints
 
 
 def headline(artifacts: Sequence[Artifact]) -> str:
-    """One line on some artifacts of one kind, of what they state of themselves; empty if that kind states nothing.
+    """Summary of artifacts of one kind from their metadata; empty for kinds without one.
 
     Raises:
-        BadData: what an artifact states is broken.
+        BadData: an artifact's metadata is corrupted.
     """
     line = HEADLINES.get(type(artifacts[0])) if artifacts else None
     return line([artifact.metadata for artifact in artifacts]) if line else ""
@@ -33,7 +33,7 @@ def _reconstructions(made: Sequence[Any]) -> str:
         return ""
     return (
         f"{100 * median(explained):.1f} % of the measured depth lies on the mesh, "
-        f"off by {1000 * median(residuals):.1f} mm (medians)"
+        f"with an error of {1000 * median(residuals):.1f} mm (medians)"
     )
 
 
@@ -71,7 +71,7 @@ def _descriptors(made: Sequence[Any]) -> str:
 
 
 def _validation(metrics: dict[str, float]) -> list[str]:
-    """The held-out metrics that say most: how far the best match is off, and how often it is close."""
+    """The most important validation metrics: median error of the best match, and share of close ones."""
     found = []
     if "validation_median_error_px" in metrics:
         found.append(f"median error {metrics['validation_median_error_px']:.1f} px")
@@ -109,4 +109,4 @@ HEADLINES: dict[type[Artifact], Callable[[Sequence[Any]], str]] = {
     ReferenceKeypoints: _references,
     KeypointTrack: _tracks,
 }
-"""By kind, a line of the metadata of one or more."""
+"""Functions by kind that summarise the metadata of one or more artifacts."""

@@ -23,7 +23,7 @@ class KeypointsMetadata(Metadata):
 
 
 class KeypointTrack(Artifact):
-    """What a filter believes of each keypoint after each frame."""
+    """A filter's belief of each keypoint after each frame."""
 
     kind = "keypoints"
     scope = "demonstration"
@@ -57,35 +57,35 @@ class KeypointTrack(Artifact):
 
     @cached_property
     def mean(self) -> np.ndarray:
-        """(t, k, 3) float32, metres, world frame."""
+        """Mean positions (t, k, 3) float32, metres, world frame; NaN: not localised."""
         return read_all(self.group, "mean", self.path)
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """(t, k, 3, 3) float32, square metres."""
+        """Covariances (t, k, 3, 3) float32, square metres."""
         return read_all(self.group, "covariance", self.path)
 
     @cached_property
     def mode(self) -> np.ndarray:
-        """(t, k, 3) float32, metres, world frame."""
+        """Most likely positions (t, k, 3) float32, metres, world frame."""
         return read_all(self.group, "mode", self.path)
 
     @cached_property
     def n_eff(self) -> np.ndarray:
-        """(t, k) float32."""
+        """Effective sample sizes (t, k) float32."""
         return read_all(self.group, "n_eff", self.path)
 
     @cached_property
     def log_evidence(self) -> np.ndarray:
-        """(t, k) float32."""
+        """Log evidence of each frame under the belief before it (t, k) float32."""
         return read_all(self.group, "log_evidence", self.path)
 
     def pixel(self, camera: str) -> np.ndarray:
-        """(t, k, 2) float32 pixels of the mean in a camera's images."""
+        """Projected means (t, k, 2) float32, pixels of a camera's images; NaN: behind the camera."""
         return read_all(self.group, f"{camera}/pixel", self.path)
 
     def observed(self, camera: str) -> np.ndarray:
-        """(t, k) bool."""
+        """Whether the camera more likely than not sees each keypoint (t, k) bool."""
         return read_all(self.group, f"{camera}/observed", self.path)
 
     @staticmethod
@@ -93,10 +93,10 @@ class KeypointTrack(Artifact):
     def writer(
         out: Path, *, names: list[str], filter: str, cameras: list[str], n_kept: int = 0
     ) -> Iterator[KeypointsWriter]:
-        """Append frame by frame.
+        """Open a writer of frames.
 
         Args:
-            n_kept: frames to go on after, of a track that was not finished; whole chunks.
+            n_kept: frames to keep of an unfinished track, whole chunks.
         """
         writer = KeypointsWriter(out, names, filter, cameras, n_kept)
         yield writer
@@ -104,7 +104,7 @@ class KeypointTrack(Artifact):
 
 
 class KeypointsWriter:
-    """Streams a track to disk. A frame of 16 keypoints takes about 1.2 kB: an hour at 30 Hz is 130 MB."""
+    """Writer of a track. A frame of 16 keypoints takes about 1.2 kB, an hour at 30 Hz 130 MB."""
 
     def __init__(self, out: Path, names: list[str], filter: str, cameras: list[str], n_kept: int) -> None:
         group = start(out, KeypointTrack, {"names": names, "filter": filter})
@@ -130,9 +130,10 @@ class KeypointsWriter:
         log_evidence: np.ndarray,
         cameras: Mapping[str, tuple[np.ndarray, np.ndarray]],
     ) -> bool:
-        """Add a frame; shapes as the schema has them without t; per camera (pixel (k, 2), observed (k,)).
+        """Append a frame, with shapes as in the schema without t; per camera (pixel (k, 2), observed (k,)).
 
-        Whether all frames so far are on disk: every so often, so that a kill loses little.
+        Returns:
+            whether all frames so far are on disk.
         """
         row = {"mean": mean, "covariance": covariance, "mode": mode, "n_eff": n_eff, "log_evidence": log_evidence}
         for camera in self._cameras:
@@ -141,7 +142,7 @@ class KeypointsWriter:
         return all(on_disk)
 
     def close(self) -> None:
-        """Write what is buffered."""
+        """Write the buffers."""
         for rows in self._rows.values():
             rows.close()
 

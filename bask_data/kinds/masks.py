@@ -1,4 +1,4 @@
-"""Visible masks: which object each pixel shows."""
+"""Visible masks: the instance at each pixel."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class MasksMetadata(Metadata):
     """Number of instances of the scene, and how their pixels were decided.
 
     Args:
-        pixels: counts by reason, as the stage documents them.
-        noise: by camera, (a, b): measured depth and mesh differ by a + b z metres (standard deviation); missing where
-            that could not be told.
-        tolerance: by camera, (a, b): they were taken to agree within a + b z metres.
+        pixels: counts by reason, as documented by the stage.
+        noise: by camera, (a, b): the standard deviation between measured depth and mesh is a + b z metres; cameras
+            for which it could not be estimated are missing.
+        tolerance: by camera, (a, b): depth and mesh were taken to agree within a + b z metres.
     """
 
     n_instances: int
@@ -46,6 +46,7 @@ class CameraMasks:
 
     @property
     def n_frames(self) -> int:
+        """Number of frames."""
         return self._instance.shape[0]
 
     def instance(self, i_frame: int) -> np.ndarray:
@@ -53,8 +54,11 @@ class CameraMasks:
         return read_frame(self._instance, i_frame, self.path / "instance")
 
     def measured(self, i_frame: int) -> np.ndarray:
-        """(h, w) bool: False where an object was a candidate and no depth was measured, so that the label, 0 included,
-        is an inference: leave those pixels out to train on what is certain."""
+        """Whether measured depth confirms each pixel's label (h, w) bool.
+
+        False where an object was a candidate but no depth was measured: exclude these pixels to use certain labels
+        only.
+        """
         return read_frame(self._measured, i_frame, self.path / "measured") > 0
 
     @cached_property
@@ -63,12 +67,12 @@ class CameraMasks:
 
     @cached_property
     def measured_fraction(self) -> np.ndarray:
-        """(t, k) float32: share of each mask's pixels that were measured, in [0, 1]; NaN where the mask is empty."""
+        """Share of each mask's pixels that were measured (t, k) float32, in [0, 1]; NaN: empty mask."""
         return read_all(self._group, "measured_fraction", self.path)
 
     @cached_property
     def visible_fraction(self) -> np.ndarray:
-        """(t, k) float32: the share of each instance's projection that is visible, in [0, 1]; NaN where it has none."""
+        """Share of each instance's amodal mask that is visible (t, k) float32, in [0, 1]; NaN: out of view."""
         return read_all(self._group, "visible_fraction", self.path)
 
 
@@ -108,14 +112,14 @@ class VisibleMasks(Artifact):
     @staticmethod
     @contextmanager
     def writer(out: Path, n_instances: int) -> Iterator[MasksWriter]:
-        """Write masks camera by camera, frame by frame; `pixels`, `noise` and `tolerance` may be filled on the way."""
+        """Open a writer of masks; `pixels`, `noise` and `tolerance` may be set until it closes."""
         writer = MasksWriter(out, n_instances)
         yield writer
         writer.close()
 
 
 class MasksWriter:
-    """Streams masks into an artifact."""
+    """Writer of masks, camera by camera."""
 
     def __init__(self, out: Path, n_instances: int) -> None:
         self._out = out
@@ -133,7 +137,7 @@ class MasksWriter:
         return self._cameras[-1]
 
     def close(self) -> None:
-        """Finish all cameras and write the counts."""
+        """Finish all cameras and write the metadata."""
         for camera in self._cameras:
             camera.close()
         checked = MasksMetadata(
@@ -143,7 +147,7 @@ class MasksWriter:
 
 
 class CameraMasksWriter:
-    """Streams one camera's masks."""
+    """Writer of one camera's masks, frame by frame."""
 
     def __init__(self, group: zarr.Group, name: str, n_frames: int, height: int, width: int, n_instances: int) -> None:
         self._group, self._name, self._n_instances = group, name, n_instances
@@ -153,8 +157,13 @@ class CameraMasksWriter:
         self._measured_fraction: list[np.ndarray] = []
 
     def append(self, instance: np.ndarray, visible_fraction: np.ndarray, measured: np.ndarray | None = None) -> None:
-        """Add a frame: labels (h, w) uint8, the visible share of each instance (k,), and where a measurement had a
-        say (h, w) bool; everywhere by default."""
+        """Append a frame.
+
+        Args:
+            instance: labels (h, w) uint8.
+            visible_fraction: visible share of each instance (k,).
+            measured: (h, w) bool, as in `CameraMasks.measured`; True everywhere by default.
+        """
         import numpy as np
 
         measured = np.ones(instance.shape, bool) if measured is None else measured
@@ -166,7 +175,7 @@ class CameraMasksWriter:
         self._measured_fraction.append(np.where(n_visible > 0, n_measured / np.maximum(n_visible, 1), np.nan))
 
     def close(self) -> None:
-        """Write what is buffered."""
+        """Write the buffers."""
         import numpy as np
 
         self._instance.close()

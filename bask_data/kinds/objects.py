@@ -18,11 +18,11 @@ class InstanceRow(Metadata):
     """One object.
 
     Args:
-        area_m2: surface in square metres.
+        area_m2: surface area, square metres.
         centroid: mean vertex, metres, world frame.
         extents: size of the axis-aligned box in the world frame, metres.
-        concave_share: share of its surface that is more than 1 cm inside its convex hull: next to 0 for a box or a
-            can; 0.25 or more for something hollow, and for several objects that touch.
+        concave_share: share of its surface that is more than 1 cm inside its convex hull: close to 0 for a box or a
+            can; 0.25 or more for a hollow object, or several objects that touch.
     """
 
     id: int
@@ -38,8 +38,8 @@ class PlaneRow(Metadata):
     """A plane of the background: the support, or structure such as the wall of a bin.
 
     Args:
-        plane: nx, ny, nz, d in the world frame, metres: n.x + d = 0, n towards where it was seen from.
-        area_m2: surface on it, square metres.
+        plane: nx, ny, nz, d in the world frame, metres: n.x + d = 0, n towards the cameras.
+        area_m2: area of the surface on it, square metres.
         noise_m: standard deviation of that surface about the plane, metres.
     """
 
@@ -50,11 +50,11 @@ class PlaneRow(Metadata):
 
 
 class NeighbourRow(Metadata):
-    """Two objects that nearly touch: with twice the gap that was allowed within an object they would be one.
+    """Two objects that nearly touch: with twice the gap allowed within an object, they would be one.
 
     Args:
         a, b: ids of the objects.
-        gap_m: metres between their surfaces.
+        gap_m: distance between their surfaces, metres.
     """
 
     a: int
@@ -63,8 +63,8 @@ class NeighbourRow(Metadata):
 
 
 class ObjectsMetadata(Metadata):
-    """The objects, largest first; the planes taken for background, the support first; pairs of objects that nearly
-    touch; and what the stage wants a person to know (`warnings`)."""
+    """The objects, largest first; planes of the background, the support plane first; pairs of objects that nearly
+    touch; warnings for the user."""
 
     instances: list[InstanceRow]
     planes: list[PlaneRow] = []
@@ -92,12 +92,12 @@ class ObjectInstances(Artifact):
 
     @cached_property
     def vertex_instance(self) -> np.ndarray:
-        """(n,) int32; 0 is background."""
+        """Instance of each vertex (n,) int32; 0 is background."""
         return read_all(self.group, "vertex_instance", self.path)
 
     @cached_property
     def support_plane(self) -> np.ndarray:
-        """(4,) float64: n.x + d = 0; all zero when there is none."""
+        """Support plane (4,) float64: n.x + d = 0, metres, world frame; zeros if there is none."""
         return read_all(self.group, "support_plane", self.path)
 
     @property
@@ -116,7 +116,7 @@ class ObjectInstances(Artifact):
         planes: Sequence[PlaneRow] = (),
         neighbours: Sequence[NeighbourRow] = (),
     ) -> None:
-        """Write the labels of all vertices, the table of objects and what was found around them."""
+        """Write the instances of all vertices, the objects, planes, neighbours and warnings."""
         metadata = {
             "instances": [row.model_dump() for row in instances],
             "planes": [row.model_dump() for row in planes],

@@ -1,6 +1,6 @@
-"""Where reference keypoints truly are: fixed to the object they were picked on, whose transform truth knows.
+"""Ground-truth positions of reference keypoints: fixed to the object they were picked on, by its ground-truth pose.
 
-Only evaluation, reports and tracks of ground truth may ask.
+For evaluation, reports and tracks of ground truth only.
 """
 
 from __future__ import annotations
@@ -18,12 +18,11 @@ if TYPE_CHECKING:
     import numpy as np
 
 HIDDEN = 0.02
-"""Metres: a point is hidden where what the view shows is nearer than it by more than this. Chosen; sensitivity not
-measured."""
+"""Metres by which a surface must be in front of a point to occlude it. Chosen; sensitivity not measured."""
 
 
 class Known(NamedTuple):
-    """What is known of a recording: frames and cameras, and where its objects are."""
+    """A recording and its ground truth, if available."""
 
     recording: Recording | None
     truth: Truth | None
@@ -31,12 +30,12 @@ class Known(NamedTuple):
 
 @dataclass(frozen=True)
 class ObjectPoints:
-    """k points that objects carry along.
+    """k points fixed to objects.
 
-    Attributes:
-        labels: (k,) of each point's object, in the recording it was picked in.
-        names: of each point's object; recordings may number their objects differently. Empty: on no object.
-        points_object: (k, 3), metres, frame of the object, which all recordings share; NaN where not known.
+    Args:
+        labels: label of each point's object in the recording of its pick.
+        names: name of each point's object, as labels may differ between recordings; empty: not on an object.
+        points_object: (k, 3), metres, frame of the object, which all recordings share; NaN: unknown.
     """
 
     labels: tuple[int, ...]
@@ -45,31 +44,32 @@ class ObjectPoints:
 
 
 def true_places(picks: Sequence[Pick], recordings: Mapping[str, Known], name: str) -> np.ndarray:
-    """Where keypoints are in each frame of the recording `name` (t, k, 3), metres, world frame; NaN where that is not
-    known, or the object is not there.
+    """Ground-truth positions (t, k, 3) of keypoints in the recording `name`, metres, world frame.
+
+    NaN where unknown, or where the recording lacks the object. In the scan it was picked in, a keypoint needs no
+    ground truth, as the scene is static.
 
     Args:
-        recordings: by name, this one and those the keypoints were picked in. In its own scan a keypoint is known
-            without truth, because nothing moves there.
+        recordings: by name, this recording and those of the picks.
     """
     import numpy as np
 
-    here = recordings[name]
-    assert here.recording is not None, "where its frames are is for the caller to know"
-    n_frames = max(camera.n_frames for camera in here.recording.cameras)
+    known = recordings[name]
+    assert known.recording is not None, "the recording itself must be given"
+    n_frames = max(camera.n_frames for camera in known.recording.cameras)
     places = np.full((n_frames, len(picks), 3), np.nan)
-    if here.truth is not None:
-        places = carried(points_on_objects(picks, recordings), here.truth, n_frames)
-    if not isinstance(here.recording, Demonstration):
+    if known.truth is not None:
+        places = carried(points_on_objects(picks, recordings), known.truth, n_frames)
+    if not isinstance(known.recording, Demonstration):
         for i, pick in enumerate(picks):
-            point = picked_point(pick, here) if pick.recording == name else None
+            point = picked_point(pick, known) if pick.recording == name else None
             if point is not None:
                 places[:, i] = point
     return places
 
 
 def carried(points: ObjectPoints, truth: Truth, n_frames: int) -> np.ndarray:
-    """Where the objects of a recording take points (t, k, 3), metres, world frame; NaN where that is not known."""
+    """Positions (t, k, 3) of points fixed to objects of a recording, metres, world frame; NaN where unknown."""
     import numpy as np
 
     from bask_data.core.geometry import transform
@@ -79,14 +79,15 @@ def carried(points: ObjectPoints, truth: Truth, n_frames: int) -> np.ndarray:
     for i, (label, name, point) in enumerate(zip(points.labels, points.names, points.points_object, strict=True)):
         world_from_objects = poses.get(label_of(truth, name, label))
         if world_from_objects is not None:
-            # Of what stands still there is one transform for all frames.
+            # Static objects have a single transform for all frames.
             times = np.minimum(np.arange(n_frames), len(world_from_objects) - 1)
-            places[:, i] = np.stack([transform(one, point) for one in world_from_objects])[times]
+            positions = [transform(world_from_object, point) for world_from_object in world_from_objects]
+            places[:, i] = np.stack(positions)[times]
     return places
 
 
 def points_on_objects(picks: Sequence[Pick], recordings: Mapping[str, Known]) -> ObjectPoints:
-    """Keypoints in the frames of the objects they were picked on."""
+    """Picked keypoints as points in the frames of their objects."""
     import numpy as np
 
     from bask_data.core.geometry import invert_rigid, transform
@@ -107,7 +108,7 @@ def points_on_objects(picks: Sequence[Pick], recordings: Mapping[str, Known]) ->
 
 
 def picked_label(pick: Pick, truth: Truth | None) -> int:
-    """The true label of what a keypoint was picked on: 0 is background, -1 unknown."""
+    """Ground-truth label of the object that a keypoint was picked on: 0 is background, -1 unknown."""
     import numpy as np
 
     from bask_data.core import scores
@@ -122,9 +123,9 @@ def picked_label(pick: Pick, truth: Truth | None) -> int:
 
 
 def picked_point(pick: Pick, known: Known | None) -> np.ndarray | None:
-    """Where a keypoint was picked (3,), metres, its recording's world: by exact depth and camera where they are known.
+    """Position (3,) of a pick, metres, world frame of its recording, from exact depth and pose if known.
 
-    None where there was no depth.
+    None without depth.
     """
     import numpy as np
 
@@ -145,23 +146,23 @@ def picked_point(pick: Pick, known: Known | None) -> np.ndarray | None:
         return transform(world_from_camera, unproject(uv, z, known.recording.camera(pick.camera).K))[0]
     if point is None:
         return None
-    # Without the intrinsics, along the ray that the picked point is on.
+    # Without intrinsics, the exact point is found on the ray of the picked one.
     camera = transform(invert_rigid(world_from_camera), point)
     return transform(world_from_camera, camera * z[0] / camera[2])
 
 
 def label_of(truth: Truth, name: str, label: int) -> int:
-    """The label of the object called `name`: `label` where it is one of those, or else the first; -1 without any."""
-    found = [number for number, other in sorted(truth.label_names.items()) if name and other == name]
-    return -1 if not found else label if label in found else found[0]
+    """The label of an object by name: `label` if it has that name, or else the first such label; -1 without one."""
+    labels = [number for number, other in sorted(truth.label_names.items()) if name and other == name]
+    return -1 if not labels else label if label in labels else labels[0]
 
 
 def object_poses(truth: Truth) -> dict[int, np.ndarray]:
-    """By label, world from object, metres: (t, 4, 4), or (1, 4, 4) of what stands still."""
+    """world_from_object by label, metres: (t, 4, 4), or (1, 4, 4) for static objects."""
     import numpy as np
 
-    still = truth.metadata.world_from_object
-    poses = {label: np.array(pose, dtype=np.float64)[None] for label, pose in still.items()}
+    static = truth.metadata.world_from_object
+    poses = {label: np.array(pose, dtype=np.float64)[None] for label, pose in static.items()}
     moving = truth.world_from_objects
     if moving is not None:
         poses |= {label: moving[:, i] for i, label in enumerate(truth.metadata.object_labels)}
@@ -169,12 +170,12 @@ def object_poses(truth: Truth) -> dict[int, np.ndarray]:
 
 
 class TruePixels(NamedTuple):
-    """Where points are in one frame.
+    """Ground-truth pixels of points in one frame.
 
-    Attributes:
-        uv: (k, 2) pixels; NaN where that is not known, or behind the camera.
-        inside: (k,) bool: in the image.
-        hidden: (k,) bool: in the image, and behind something.
+    Args:
+        uv: (k, 2) pixels; NaN where unknown, or behind the camera.
+        inside: (k,) bool: inside the image.
+        hidden: (k,) bool: inside the image, but occluded.
     """
 
     uv: np.ndarray
@@ -183,7 +184,7 @@ class TruePixels(NamedTuple):
 
 
 def true_pixels(points_world: np.ndarray, camera: Camera, truth: Truth | None, i_frame: int) -> TruePixels:
-    """Where a camera's frame has points (k, 3), metres, by exact depth and camera where truth knows them."""
+    """Pixels of world points (k, 3), metres, in a camera's frame, by exact depth and pose if known."""
     import numpy as np
 
     from bask_data.core.geometry import in_image, invert_rigid, project, transform

@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 
 class FrameRow(Metadata):
-    """One frame of the scan: what became of it, and how the mesh explains what it measured.
+    """One frame of the scan: whether it was fused, and how well the mesh explains its depth.
 
     Args:
-        fused: it is part of the mesh.
-        suspect: the mesh explains it far worse than the other frames.
-        valid_depth: share of its pixels with a measurement within the range fused.
-        n_judged: rays of it that were held against the mesh.
-        explained: share of those whose measurement lies on the mesh.
+        fused: whether it is part of the mesh.
+        suspect: whether the mesh explains it far worse than the other frames.
+        valid_depth: share of its pixels with a measurement within the fused range.
+        n_judged: number of its rays that were compared with the mesh.
+        explained: share of these whose measurement lies on the mesh.
         residual: median of measured minus mesh depth, metres.
         residual_abs: median of its magnitude, metres.
-        from_behind: share of its rays onto the mesh that meet the back of a surface.
+        from_behind: share of its rays that hit the back of a surface, of those that hit the mesh.
     """
 
     camera: str
@@ -46,11 +46,11 @@ class FrameRow(Metadata):
 
 
 class UnmeasuredRegion(Metadata):
-    """A place that many cameras looked at from many sides without a measurement: transparent, shiny or black.
+    """A region that many views from several sides failed to measure: something transparent, shiny or black.
 
     Args:
-        centre: of its box along the world's axes, metres.
-        size: of that box, metres.
+        centre: centre of its axis-aligned box in the world frame, metres.
+        size: size of that box, metres.
         volume: cubic metres.
     """
 
@@ -63,19 +63,19 @@ class Quality(Metadata):
     """Figures of the fusion. Lengths are metres; None where nothing could be compared.
 
     Args:
-        frames: in the scan.
-        frames_excluded: left out by name.
-        frames_of_distinct_views: left after thinning.
-        frames_fused: of those, the ones that are part of the mesh.
-        frames_without_depth: those without any measurement within the range.
-        frames_without_depth_in_the_workspace: those that measured something, but elsewhere; and those without depth.
-        frames_suspect: frames that the mesh explains far worse than the others, left out of it or not.
+        frames: frames in the scan.
+        frames_excluded: frames excluded by name.
+        frames_of_distinct_views: frames left after thinning.
+        frames_fused: frames of these that are part of the mesh.
+        frames_without_depth: frames without any measurement within the range.
+        frames_without_depth_in_the_workspace: frames with measurements only elsewhere, or without depth.
+        frames_suspect: frames that the mesh explains far worse than the others, whether fused or not.
         workspace: whether the box was given or estimated.
-        voxel_blocks: size of the volume.
-        explained: share of what was measured in the workspace that lies on the mesh.
+        voxel_blocks: number of blocks of the volume.
+        explained: share of the measurements in the workspace that lie on the mesh.
         residual: median over the frames of measured minus mesh depth.
         residual_abs: median over the frames of its magnitude.
-        seen_from_behind: share of the surface seen that no camera saw from the front.
+        seen_from_behind: share of the visible surface that no camera saw from the front.
     """
 
     frames: int = 0
@@ -99,8 +99,8 @@ class ReconstructionMetadata(Metadata):
     Args:
         voxel_size: metres.
         bounds: the workspace box (x_min, y_min, z_min, x_max, y_max, z_max), metres, world frame; given or estimated.
-        unmeasured: places where something stands that the mesh cannot hold.
-        warnings: what a person should know.
+        unmeasured: regions with something that depth cameras cannot measure.
+        warnings: warnings for the user.
     """
 
     voxel_size: float
@@ -142,12 +142,12 @@ class Reconstruction(Artifact):
 
     @cached_property
     def vertices(self) -> np.ndarray:
-        """(n, 3) float32, metres, world frame."""
+        """Vertices (n, 3) float32, metres, world frame."""
         return read_all(self.group, "vertices", self.path)
 
     @cached_property
     def triangles(self) -> np.ndarray:
-        """(m, 3) int32 indices of vertices."""
+        """Triangles (m, 3) int32, indices of vertices; `BadData` if one is out of range."""
         triangles = read_all(self.group, "triangles", self.path)
         n_vertices = len(self.vertices)
         if triangles.size and (triangles.min() < 0 or triangles.max() >= n_vertices):
@@ -157,17 +157,17 @@ class Reconstruction(Artifact):
 
     @cached_property
     def colors(self) -> np.ndarray:
-        """(n, 3) uint8."""
+        """Colours of the vertices (n, 3) uint8, RGB."""
         return read_all(self.group, "colors", self.path)
 
     @property
     def voxel_size(self) -> float:
-        """Metres."""
+        """Voxel size, metres."""
         return self.metadata.voxel_size
 
     @cached_property
     def frames(self) -> pa.Table:
-        """A row for each frame of the scan that was not left out: `FrameRow`."""
+        """A row (`FrameRow`) for each frame of the scan that was not excluded."""
         return read_table(self, "frames.parquet")
 
     @staticmethod
@@ -182,7 +182,7 @@ class Reconstruction(Artifact):
         unmeasured: Sequence[UnmeasuredRegion] = (),
         warnings: Sequence[str] = (),
     ) -> None:
-        """Write the mesh as arrays and as `mesh.ply`, and what is known of its quality."""
+        """Write the mesh as arrays and as `mesh.ply`, and its quality."""
         metadata = ReconstructionMetadata(
             voxel_size=voxel_size,
             bounds=bounds,
@@ -201,7 +201,7 @@ class Reconstruction(Artifact):
 
 
 def _write_ply(file: Path, vertices: np.ndarray, triangles: np.ndarray, colors: np.ndarray) -> None:
-    """A binary PLY. Written here because Open3D's writer reports success on a full disk."""
+    """Write a binary PLY. Open3D's writer is not used, as it reports success on a full disk."""
     import numpy as np
 
     header = (

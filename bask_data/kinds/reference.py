@@ -1,4 +1,4 @@
-"""Reference keypoints: the descriptors to look for, and where each was picked."""
+"""Reference keypoints: their descriptors, and where each was picked."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Pick(Metadata):
 
     Args:
         recording: scene or demonstration.
-        u, v: pixel of the recording's image, integers are pixel centres.
-        instance: object of the scene's masks; 0 when unknown.
+        u, v: pixel of the recording's image; integers are pixel centres.
+        instance: instance in the scene's masks; 0 if unknown.
         point_world: metres, world frame of that recording; None without depth.
     """
 
@@ -51,7 +51,7 @@ class ReferenceKeypoints(Artifact):
 
     @cached_property
     def descriptors(self) -> np.ndarray:
-        """(k, d) float32."""
+        """Descriptors (k, d) float32; `BadData` if they are not finite."""
         import numpy as np
 
         descriptors = read_all(self.group, "descriptors", self.path)

@@ -1,4 +1,4 @@
-"""Parquet tables as the kinds use them."""
+"""Parquet tables of the kinds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def arrow_schema(spec: TableSpec) -> pa.Schema:
-    """The Arrow schema of a table, descriptions in the field metadata."""
+    """The Arrow schema of a table, with descriptions in the fields' metadata."""
     import pyarrow as pa
 
     return pa.schema(
@@ -24,7 +24,7 @@ def arrow_schema(spec: TableSpec) -> pa.Schema:
 
 
 def read_table(artifact: Artifact, name: str, filters: Any = None) -> pa.Table:
-    """A table of the artifact; `BadData` when it does not read or has other columns."""
+    """A table of the artifact; `BadData` if it is unreadable or has other columns."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -17,20 +17,21 @@ if TYPE_CHECKING:
 
 
 ROBOT = 255
-"""Label of the robot where it is seen; no object's."""
+"""Label of the robot; no object has it."""
 OBJECTS = "objects"
-"""The group beside the cameras' that holds where the objects are."""
+"""Group with the objects' poses, beside the cameras' groups."""
 
 
 class TruthMetadata(Metadata):
-    """Names of the labels; 0 is background and has no name. Where static objects stand, if that is known.
+    """Names of the labels, and poses of static objects, if known.
 
     Args:
-        world_from_object: by label, rows of a rigid (4, 4) transform, metres. The object's frame is the same in every
-            recording of a dataset that shows the object, so that a point picked in one has a place in the others.
-        pose_error: by label, metres that these transforms may be wrong by, as whoever made them says.
+        label_names: names by label; 0 is background and has no name.
+        world_from_object: by label, rows of a rigid (4, 4) transform, metres. The object's frame is the same in all
+            recordings of a dataset, so that a point picked in one recording is known in the others.
+        pose_error: by label, error of these transforms stated by their source, metres.
         object_labels: labels of the rows of `objects/world_from_object`.
-        touching: pairs of labels whose bodies touch: their geometry is one, and no eye for shapes can part them.
+        touching: pairs of labels whose bodies touch, so that geometry alone cannot separate them.
     """
 
     label_names: dict[int, str]
@@ -41,7 +42,7 @@ class TruthMetadata(Metadata):
 
 
 class Truth(Artifact):
-    """Instance labels per frame, as people or a simulator gave them; a simulator knows depth and poses, too."""
+    """Ground-truth labels of each frame, from annotation or simulation; a simulator also knows depth and poses."""
 
     kind = "truth"
     scope = "recording"
@@ -72,7 +73,7 @@ class Truth(Artifact):
 
     @property
     def label_names(self) -> dict[int, str]:
-        """Name of each label."""
+        """Names by label."""
         return self.metadata.label_names
 
     def instance(self, camera: str, i_frame: int) -> np.ndarray:
@@ -90,7 +91,7 @@ class Truth(Artifact):
         return all(f"{camera}/depth" in self.group for camera in self.camera_names)
 
     def depth(self, camera: str, i_frame: int) -> np.ndarray:
-        """Exact z-depth of one frame (h, w) float32 metres; 0 means nothing."""
+        """Exact z-depth of one frame (h, w) float32 metres; 0 means no surface."""
         import numpy as np
 
         array = self.group[f"{camera}/depth"]
@@ -99,19 +100,19 @@ class Truth(Artifact):
         return raw.astype(np.float32) * np.float32(scale)
 
     def world_from_cameras(self, camera: str) -> np.ndarray:
-        """Exact transforms of a camera (t, 4, 4) float64, metres."""
+        """Exact poses of a camera (t, 4, 4) float64, metres."""
         if camera not in self._world_from_cameras:
             self._world_from_cameras[camera] = read_all(self.group, f"{camera}/world_from_camera", self.path)
         return self._world_from_cameras[camera]
 
     @cached_property
     def _world_from_cameras(self) -> dict[str, np.ndarray]:
-        """Those read so far: whoever goes through frames asks in each."""
+        """Cache, as loops over frames request the poses in each frame."""
         return {}
 
     @property
     def world_from_objects(self) -> np.ndarray | None:
-        """Where each object is at each frame (t, k, 4, 4) float64, metres; None where that is not known."""
+        """Poses of the objects at each frame (t, k, 4, 4) float64, metres; None if unknown."""
         if f"{OBJECTS}/world_from_object" not in self.group:
             return None
         return read_all(self.group, f"{OBJECTS}/world_from_object", self.path)
@@ -124,7 +125,7 @@ class Truth(Artifact):
         world_from_object: dict[int, list[list[float]]] | None = None,
         pose_error: dict[int, float] | None = None,
     ) -> None:
-        """Write labels; per camera (number of frames, (height, width), function that gives a frame's labels)."""
+        """Write labels; per camera (number of frames, (height, width), function that returns a frame's labels)."""
         metadata = TruthMetadata(
             label_names=label_names, world_from_object=world_from_object or {}, pose_error=pose_error or {}
         )
@@ -139,7 +140,7 @@ class Truth(Artifact):
     @staticmethod
     @contextmanager
     def writer(out: Path, metadata: TruthMetadata, world_from_objects: np.ndarray) -> Iterator[TruthWriter]:
-        """Write all there is to know, camera by camera, frame by frame.
+        """Open a writer of exact labels, depth and poses, camera by camera, frame by frame.
 
         Args:
             world_from_objects: (t, k, 4, 4) float64, metres, rows in the order of the metadata's `object_labels`.
@@ -153,7 +154,7 @@ class Truth(Artifact):
 
 
 class TruthWriter:
-    """Streams truth into an artifact."""
+    """Writer of ground truth, camera by camera."""
 
     def __init__(self, out: Path, group: zarr.Group) -> None:
         self._out, self._group = out, group
@@ -172,7 +173,7 @@ class TruthWriter:
 
 
 class CameraTruthWriter:
-    """Streams one camera's truth."""
+    """Writer of one camera's ground truth, frame by frame."""
 
     def __init__(self, group: zarr.Group, name: str, n_frames: int, size: tuple[int, int], depth_scale: float) -> None:
         self._group, self._name = group, name
@@ -181,13 +182,13 @@ class CameraTruthWriter:
         self._world_from_cameras: list[np.ndarray] = []
 
     def append(self, instance: np.ndarray, depth_raw: np.ndarray, world_from_camera: np.ndarray) -> None:
-        """Add a frame: labels (h, w) uint8, exact depth (h, w) uint16, transform (4, 4)."""
+        """Append a frame: labels (h, w) uint8, exact depth (h, w) uint16, pose (4, 4), metres."""
         self._instance.append(instance)
         self._depth.append(depth_raw)
         self._world_from_cameras.append(world_from_camera)
 
     def close(self) -> None:
-        """Write what is buffered."""
+        """Write the buffers."""
         import numpy as np
 
         self._instance.close()

@@ -55,7 +55,7 @@ METRICS = {"loss": 0.2, "validation_median_error_px": 2.25, "validation_pck_4": 
     [
         (
             [reconstruction(0.9, 0.001), reconstruction(0.96, 0.003), reconstruction(None, None)],
-            "93.0 % of the measured depth lies on the mesh, off by 2.0 mm (medians)",
+            "93.0 % of the measured depth lies on the mesh, with an error of 2.0 mm (medians)",
         ),
         ([reconstruction(None, None)], ""),
         ([objects(3), objects(4)], "7 objects, 3 to 4 a scene"),
@@ -85,7 +85,7 @@ METRICS = {"loss": 0.2, "validation_median_error_px": 2.25, "validation_pck_4": 
         ([], ""),
     ],
 )
-def test_a_kind_is_told_in_a_line(artifacts: list[Artifact], line: str) -> None:
+def test_artifacts_of_a_kind_are_summarised_in_a_line(artifacts: list[Artifact], line: str) -> None:
     assert headline(artifacts).startswith(line) and bool(headline(artifacts)) == bool(line)
 
 

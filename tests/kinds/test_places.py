@@ -17,7 +17,7 @@ PICK = Pick(name="a", recording="scan", camera="wrist", frame=1, u=4.0, v=3.0)
 
 
 def moving() -> np.ndarray:
-    """Objects 5 and 7 in each frame (t, 2, 4, 4): one stands still, one moves along x."""
+    """Poses of objects 5 and 7 in each frame (t, 2, 4, 4): the first is static, the second moves along x."""
     poses = np.tile(np.eye(4), (N_FRAMES, 2, 1, 1))
     poses[:, 0, :3, 3] = [1.0, 2.0, 3.0]
     poses[:, 1, 0, 3] = 0.1 * np.arange(N_FRAMES)
@@ -26,7 +26,7 @@ def moving() -> np.ndarray:
 
 @pytest.fixture
 def truth(tmp_path: Path) -> Truth:
-    """All of every image shows object 7, at the same depth."""
+    """Ground truth in which every pixel shows object 7 at the same depth."""
     metadata = TruthMetadata(
         label_names={5: "cup", 7: "lid", 9: "lid", 11: "bin"},
         object_labels=[5, 7],
@@ -39,7 +39,7 @@ def truth(tmp_path: Path) -> Truth:
     return Truth(tmp_path)
 
 
-def test_a_pick_is_put_at_exact_depth_on_its_ray(truth: Truth) -> None:
+def test_a_pick_is_moved_to_exact_depth_on_its_ray(truth: Truth) -> None:
     camera = np.array([0.3, -0.2, DEPTH])
     measured = transform(POSE, 1.02 * camera)
     pick = PICK.model_copy(update={"point_world": tuple(measured.tolist())})
@@ -49,19 +49,19 @@ def test_a_pick_is_put_at_exact_depth_on_its_ray(truth: Truth) -> None:
     assert picked_point(PICK, Known(None, truth)) is None
 
 
-def test_a_point_belongs_to_the_object_it_was_picked_on_and_where_that_was(truth: Truth) -> None:
+def test_a_point_is_in_the_frame_of_the_object_it_was_picked_on(truth: Truth) -> None:
     point = transform(POSE, np.array([0.3, -0.2, DEPTH]))
     pick = PICK.model_copy(update={"point_world": tuple(point.tolist())})
     elsewhere = pick.model_copy(update={"recording": "other"})
-    found = points_on_objects([pick, elsewhere], {"scan": Known(None, truth)})
-    assert found.labels == (7, -1) and found.names == ("lid", "")
-    np.testing.assert_allclose(found.points_object[0], point - [0.1, 0.0, 0.0], atol=1e-6)
-    assert np.isnan(found.points_object[1]).all()
+    points = points_on_objects([pick, elsewhere], {"scan": Known(None, truth)})
+    assert points.labels == (7, -1) and points.names == ("lid", "")
+    np.testing.assert_allclose(points.points_object[0], point - [0.1, 0.0, 0.0], atol=1e-6)
+    assert np.isnan(points.points_object[1]).all()
 
 
-def test_objects_carry_their_points_along(truth: Truth) -> None:
+def test_points_move_with_their_objects(truth: Truth) -> None:
     still = np.array(truth.metadata.world_from_object[11])
-    # The last two: known by name, though here under another number; and not here at all.
+    # The last two are known by name under another label, and missing in this recording.
     points = ObjectPoints(
         labels=(5, 7, 11, 3, 4), names=("cup", "lid", "bin", "cup", "spoon"), points_object=np.full((5, 3), 0.5)
     )
@@ -74,7 +74,7 @@ def test_objects_carry_their_points_along(truth: Truth) -> None:
     assert np.isnan(places[:, 4]).all()
 
 
-def test_an_object_whose_transform_is_not_known_takes_its_points_nowhere(truth: Truth) -> None:
+def test_points_of_an_object_without_a_pose_are_unknown(truth: Truth) -> None:
     assert set(object_poses(truth)) == {5, 7, 11}
     points = ObjectPoints(labels=(9,), names=("lid",), points_object=invert_rigid(POSE)[:3, 3][None])
     assert np.isnan(carried(points, truth, N_FRAMES)).all()
