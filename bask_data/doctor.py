@@ -1,6 +1,6 @@
-"""What this machine lacks, and the line that brings it.
+"""Checks of the machine, and the commands that install what is missing.
 
-Needs nothing but the standard library to be imported, because set-up asks it before anything else is installed:
+The module imports nothing but the standard library, as set-up runs it before anything else is installed:
 `python3 -m bask_data.doctor --missing-packages` prints the Debian packages to install.
 """
 
@@ -24,7 +24,7 @@ OLDEST_PYTHON = (3, 11)
 NEWEST_PYTHON = (3, 13)
 """The newest for which every package we need has wheels."""
 
-# What the wheels link to and do not carry; Open3D needs all of them. A desktop has them, a container often not.
+# Libraries that wheels link to but do not include; Open3D needs all of them. Containers often lack them.
 PACKAGE_OF_LIBRARY = {
     "libEGL.so.1": "libegl1",
     "libGL.so.1": "libgl1",
@@ -36,7 +36,7 @@ PACKAGE_OF_LIBRARY = {
     "libz.so.1": "zlib1g",
 }
 
-# Modules that load compiled code, which can fail or crash even where their distribution is installed all right.
+# Modules with compiled code, whose import can fail or crash even if their distribution is installed.
 DISTRIBUTION_OF_MODULE = {
     "cv2": "opencv-python-headless",
     "numba": "numba",
@@ -48,7 +48,7 @@ DISTRIBUTION_OF_MODULE = {
     "zarr": "zarr",
 }
 
-# Distributions that put files in the same place; the one installed last wins, and uninstalling either breaks the other.
+# Distributions with the same files; the one installed last wins, and uninstalling either breaks the other.
 RIVALS = {
     "open3d": ("open3d", "open3d-cpu"),
     "opencv-python-headless": (
@@ -60,16 +60,21 @@ RIVALS = {
 }
 
 FREE_BYTES_WANTED = 5 * 10**9
-"""Room for a few scenes: one of 500 frames takes about 1 GB with all that is made of it."""
+"""Space for a few scenes: one of 500 frames takes about 1 GB with its artifacts."""
 MEMORY_BYTES_WANTED = 4 * 10**9
-"""With less, even one job at a time may not fit, unless voxels are larger than the default."""
+"""With less memory, even a single job may not fit, unless voxels are larger than the default."""
 _PROBE_SECONDS = 120
-"""Importing torch or Open3D takes seconds, a minute from a cold disk; what takes longer hangs."""
+"""Time after which a probe counts as hanging: importing torch or Open3D takes seconds, a minute from a cold disk."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """One thing looked at. `needed` ones that are not `ok` keep bask-data from working."""
+    """Result of one check. bask-data does not work while a `needed` one is not `ok`.
+
+    Args:
+        found: what was found, in words.
+        fix: command or advice; empty if there is none.
+    """
 
     name: str
     ok: bool
@@ -80,7 +85,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Probe:
-    """What a fresh interpreter said."""
+    """Output of code run in a fresh interpreter, and its fault if it failed."""
 
     ok: bool
     output: str
@@ -88,7 +93,7 @@ class Probe:
 
 
 def checks(folder: Path | None = None) -> list[Check]:
-    """Everything there is to know of this machine before work starts, with datasets going to `folder`."""
+    """All checks of this machine; disk space is checked in `folder`, by default the current one."""
     with ThreadPoolExecutor(max_workers=2) as pool:
         modules = list(pool.map(module_check, DISTRIBUTION_OF_MODULE))
     return [
@@ -106,12 +111,12 @@ def checks(folder: Path | None = None) -> list[Check]:
 
 
 def missing(found: Iterable[Check]) -> list[Check]:
-    """The needed things that are not there; with any of them the exit code is 5."""
+    """Checks that are needed but not ok; with any, the exit code is 5."""
     return [check for check in found if check.needed and not check.ok]
 
 
 def render(found: Iterable[Check]) -> str:
-    """A line a check, and below it what mends it."""
+    """One line per check, followed by the fix if it is not ok."""
     lines = []
     for check in found:
         mark = "ok     " if check.ok else "MISSING" if check.needed else "note   "
@@ -122,19 +127,19 @@ def render(found: Iterable[Check]) -> str:
 
 
 def as_json(found: Iterable[Check]) -> str:
-    """The same for scripts."""
+    """The checks as JSON."""
     return json.dumps([asdict(check) for check in found], indent=2)
 
 
 def python_check(version: tuple[int, ...]) -> Check:
-    """The interpreter is one that everything we need has wheels for."""
+    """Check that all dependencies have wheels for this version of Python."""
     wanted = f"{_dotted(OLDEST_PYTHON)} to {_dotted(NEWEST_PYTHON)}"
     ok = OLDEST_PYTHON <= version <= NEWEST_PYTHON
     return Check("python", ok, platform.python_version(), fix=f"make setup PYTHON=... with Python {wanted}")
 
 
 def missing_libraries() -> list[str]:
-    """Shared libraries the dynamic linker cannot load. Asked of a fresh process: loading a library can crash."""
+    """Shared libraries that the dynamic linker cannot load, tried in a fresh process, as loading can crash."""
     if sys.platform != "linux":
         return []
     code = (
@@ -145,7 +150,7 @@ def missing_libraries() -> list[str]:
 
 
 def library_checks(missing_names: Iterable[str]) -> list[Check]:
-    """One check that says what to install for all missing libraries at once."""
+    """A single check with one command that installs all missing libraries."""
     names = sorted(missing_names)
     if not names:
         return [Check("system libraries", True, "all found")]
@@ -169,8 +174,8 @@ def installed_versions() -> dict[str, str]:
 
 
 def distribution_checks(requirements: Iterable[str], installed: dict[str, str]) -> list[Check]:
-    """Every Python distribution we need is there, at a version we can use."""
-    from packaging.requirements import Requirement  # itself one of the distributions that may be missing
+    """Checks that the required Python distributions are installed in accepted versions."""
+    from packaging.requirements import Requirement  # Imported late: it may be missing during set-up.
 
     found = []
     for text in sorted(requirements):
@@ -186,18 +191,18 @@ def distribution_checks(requirements: Iterable[str], installed: dict[str, str]) 
 
 
 def rival_checks(installed: dict[str, str]) -> list[Check]:
-    """No two distributions fight for one import name."""
+    """Failed checks for distributions that overwrite each other."""
     found = []
     for chosen, rivals in RIVALS.items():
-        there = [name for name in rivals if name in installed]
-        if len(there) > 1:
-            fix = f"pip uninstall -y {' '.join(there)} && pip install {chosen}"
-            found.append(Check(f"one {chosen}", False, f"{' and '.join(there)} overwrite each other", fix=fix))
+        present = [name for name in rivals if name in installed]
+        if len(present) > 1:
+            fix = f"pip uninstall -y {' '.join(present)} && pip install {chosen}"
+            found.append(Check(f"one {chosen}", False, f"{' and '.join(present)} overwrite each other", fix=fix))
     return found
 
 
 def module_check(module: str) -> Check:
-    """The module can be imported."""
+    """Check that a module can be imported."""
     answer = probe(f"import {module}")
     fix = ""
     library = next((name for name in PACKAGE_OF_LIBRARY if name in answer.fault), None)
@@ -217,23 +222,28 @@ print(json.dumps({"version": torch.__version__, "built_for": torch.version.cuda,
 
 
 def cuda_check(torch_says: Probe, driver: str | None) -> Check:
-    """A GPU is used where there is one; without one everything runs on the CPU."""
+    """Check that torch can use the GPU, if there is one.
+
+    Args:
+        torch_says: output of `_ASK_TORCH`.
+        driver: version of the NVIDIA driver; None without one.
+    """
     if not torch_says.ok:
-        return Check("GPU", False, "cannot ask torch", needed=False)
+        return Check("GPU", False, "unknown, as torch does not work", needed=False)
     torch = json.loads(torch_says.output)
     if torch["cuda"]:
         return Check("GPU", True, f"{torch['name']}, CUDA {torch['built_for']}", needed=False)
     if driver is None:
         return Check("GPU", True, "none; training runs on the CPU", needed=False)
     if torch["built_for"] is None:
-        fix = "pip install --force-reinstall torch, from an index with its CUDA builds"
+        fix = "pip install --force-reinstall torch, from a package index with CUDA builds"
         return Check("GPU", False, f"driver {driver}, but torch {torch['version']} is a CPU build", False, fix)
     fix = f"update the NVIDIA driver to one for CUDA {torch['built_for']}, or install torch for an older CUDA"
     return Check("GPU", False, f"torch cannot use it with driver {driver}", False, fix)
 
 
 def nvidia_driver_version() -> str | None:
-    """The version of the NVIDIA kernel driver, None without one."""
+    """Version of the NVIDIA kernel driver; None without one."""
     if shutil.which("nvidia-smi") is None:
         return None
     command = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
@@ -246,7 +256,7 @@ def nvidia_driver_version() -> str | None:
 
 
 def optional_checks(installed: dict[str, str]) -> list[Check]:
-    """What only some commands need."""
+    """Checks of programs and packages that only some commands need."""
     git = shutil.which("git")
     return [
         Check("git", git is not None, git or "not found; DVC needs it", False, "sudo apt-get install git"),
@@ -276,7 +286,7 @@ context.free()
 
 
 def drawing_checks(installed: dict[str, str], drawn: Probe) -> list[Check]:
-    """Whether the simulator, where it is installed, can draw without a screen."""
+    """Check that the simulator, if installed, can render without a screen."""
     from bask_data.sim.engine import NO_GL_FIX
 
     if "mujoco" not in installed:
@@ -285,26 +295,26 @@ def drawing_checks(installed: dict[str, str], drawn: Probe) -> list[Check]:
 
 
 def disk_check(folder: Path) -> Check:
-    """Room for a few scenes where the dataset goes."""
+    """Check of the free disk space in the dataset's folder."""
     existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     free = shutil.disk_usage(existing).free
-    fix = "make room, or put the dataset elsewhere: a scene of 500 frames takes about 1 GB with all that is made of it"
+    fix = "free disk space, or use another disk: a scene of 500 frames takes about 1 GB with its artifacts"
     return Check("disk", free >= FREE_BYTES_WANTED, f"{free / 1e9:.1f} GB free at {existing}", needed=False, fix=fix)
 
 
 def memory_check() -> Check:
-    """Enough memory for one job."""
+    """Check of the memory for one job."""
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     found = f"{total / 1e9:.1f} GB, {cores} cores"
     return Check(
-        "memory", total >= MEMORY_BYTES_WANTED, found, needed=False, fix="keep to --jobs 1 and a larger voxel size"
+        "memory", total >= MEMORY_BYTES_WANTED, found, needed=False, fix="use --jobs 1 and a larger voxel size"
     )
 
 
 def probe(code: str, *arguments: str) -> Probe:
-    """Run Python code in a fresh interpreter, so that what crashes there does not take us along."""
-    # `-P`: a file named torch.py in the current folder must not be taken for torch.
+    """Run Python code in a fresh interpreter, so that a crash does not end this process."""
+    # `-P` keeps a file named torch.py in the current folder from being imported as torch.
     command = [sys.executable, "-P", "-c", code, *arguments]
     try:
         answer = subprocess.run(command, capture_output=True, text=True, timeout=_PROBE_SECONDS)
@@ -313,8 +323,8 @@ def probe(code: str, *arguments: str) -> Probe:
     if answer.returncode < 0:
         return Probe(False, answer.stdout, f"crashed with {_signal_name(-answer.returncode)}")
     if answer.returncode > 0:
-        said = answer.stderr.strip().splitlines()
-        return Probe(False, answer.stdout, said[-1] if said else f"exit code {answer.returncode}")
+        lines = answer.stderr.strip().splitlines()
+        return Probe(False, answer.stdout, lines[-1] if lines else f"exit code {answer.returncode}")
     return Probe(True, answer.stdout)
 
 
@@ -331,7 +341,7 @@ def _dotted(version: tuple[int, ...]) -> str:
 
 
 def main(arguments: list[str]) -> int:
-    """What set-up asks, with a Python that has nothing installed yet."""
+    """Entry point for set-up, with a Python that has no packages yet; returns the exit code."""
     if arguments == ["--missing-packages"]:
         print(*sorted({PACKAGE_OF_LIBRARY[name] for name in missing_libraries()}))
         return 0

@@ -1,9 +1,9 @@
-"""Keypoints of a running robot, frame by frame: what `bask-data encode` does with a stored demonstration.
+"""Tracking of keypoints on a running robot, frame by frame, as `bask-data encode` does in a demonstration.
 
     tracker = KeypointTracker(descriptor, reference)
     keypoints = tracker.step(images, depths, intrinsics, world_from_cameras, world_from_gripper)
 
-`docs/runtime.md` shows a whole loop.
+`docs/runtime.md` shows a complete loop.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TrackedKeypoints:
-    """Where k keypoints are after a frame, in metres and the world frame. NaN where nothing is known yet.
+    """The belief of k keypoints after a frame, metres, world frame; NaN where not localised yet.
 
-    Attributes:
+    Args:
         mean: (k, 3).
-        covariance: (k, 3, 3); a wide one says that the place is not certain.
-        mode: (k, 3), the most likely place.
-        n_eff: (k,) effective number of hypotheses.
-        log_evidence: (k,) log of the likelihood of this frame given the ones before it.
-        pixel: by camera, (k, 2), where its image has the mean; may lie outside of it. NaN behind the camera, and
-            without a frame.
+        covariance: (k, 3, 3), square metres: the uncertainty.
+        mode: (k, 3), most likely positions.
+        n_eff: (k,) effective sample size.
+        log_evidence: (k,) log of the evidence of this frame under the belief before it.
+        pixel: by camera, (k, 2) projected means, which may be outside the image; NaN behind the camera, and for a
+            camera without a frame.
         observed: by camera, (k,), whether it more likely than not sees the keypoint.
     """
 
@@ -60,7 +60,7 @@ class TrackedKeypoints:
 
 
 class Moment(NamedTuple):
-    """What cameras have recorded of one moment, by their names: what a step is told."""
+    """Images, depths, intrinsics and poses of one time by camera: the arguments of `KeypointTracker.step`."""
 
     images: dict[str, np.ndarray]
     depths: dict[str, np.ndarray]
@@ -69,7 +69,7 @@ class Moment(NamedTuple):
 
 
 def moment_of(cameras: Iterable[Camera], i_frame: int) -> Moment:
-    """A frame of recorded cameras, as `KeypointTracker.look` and `step` take it."""
+    """A frame of recorded cameras, as the arguments of `KeypointTracker.look` and `step`."""
     cameras = list(cameras)
     return Moment(
         images={camera.name: camera.rgb(i_frame) for camera in cameras},
@@ -81,11 +81,11 @@ def moment_of(cameras: Iterable[Camera], i_frame: int) -> Moment:
 
 @dataclass(frozen=True)
 class FrameObservations:
-    """What the cameras say of the keypoints in one frame.
+    """Observations of the keypoints in one frame.
 
-    Attributes:
+    Args:
         observations: by camera.
-        sizes: by camera, (height, width) of its image.
+        sizes: by camera, (height, width) of its image, pixels.
     """
 
     observations: dict[str, Observation]
@@ -93,7 +93,7 @@ class FrameObservations:
 
 
 class KeypointTracker:
-    """Finds reference keypoints in the frames of any number of cameras, and remembers where they were."""
+    """Tracker of reference keypoints in the frames of any number of cameras."""
 
     def __init__(
         self,
@@ -107,15 +107,16 @@ class KeypointTracker:
         """Load the network.
 
         Args:
-            descriptor: of a dataset, `ROOT/descriptor/main`.
-            reference: of a dataset, `ROOT/reference/main`.
-            settings: of a filter, which their type tells; `core.filters.table.settings_named` knows some. Default: the
-                particle filter's.
-            device: of the network. Default: the GPU where there is one.
-            cameras: names in the order the filter takes them. Default: as they come, those of one step by name.
+            descriptor: network, or its path in a dataset, `ROOT/descriptor/main`.
+            reference: reference keypoints, or their path in a dataset, `ROOT/reference/main`.
+            settings: settings of a filter, whose type selects it; see `core.filters.table.settings_named`. Default:
+                the particle filter's.
+            seed: seed of the filter's random numbers.
+            device: device of the network. Default: the GPU if there is one.
+            cameras: names in the filter's order. Default: in the order of their first frames, then by name.
 
         Raises:
-            BadData: the network does not load, or the references are not of its kind.
+            BadData: the network does not load, or its descriptors have another dimension than the references.
         """
         if isinstance(descriptor, str | Path):
             descriptor = DescriptorNet(descriptor)
@@ -129,18 +130,18 @@ class KeypointTracker:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, as before the first frame."""
+        """Return to the state before the first frame."""
         self._rng = np.random.default_rng(self._seed)
         self._world_from_gripper: np.ndarray | None = None
         self._sizes: dict[str, tuple[int, int]] = {}
         self.n_steps = 0
-        """Steps done."""
+        """Number of steps."""
         self.cameras = list(self._given)
         """Names of the cameras so far."""
         self.belief: Any = None
-        """What the filter knows."""
+        """The filter's belief; None before the first step."""
         self.observations: dict[str, Observation] = {}
-        """By camera, what the last step was told."""
+        """Observations of the last step, by camera."""
 
     def step(
         self,
@@ -150,22 +151,22 @@ class KeypointTracker:
         world_from_cameras: Mapping[str, np.ndarray],
         world_from_gripper: np.ndarray | None = None,
     ) -> TrackedKeypoints:
-        """Where the keypoints are after one more frame. A camera without a frame this time is left out of `images`.
+        """Update the belief with a frame. A camera without a frame is omitted from `images`.
 
         Args:
-            images: by camera, (h, w, 3) uint8, red, green, blue.
-            depths: by camera, z-depth (h, w) metres, aligned with the image; 0, NaN and infinity mean no measurement.
-            intrinsics: by camera, (3, 3), of the image; pixel (0, 0) is the centre of the top-left pixel.
-            world_from_cameras: by camera, (4, 4); camera x right, y down, z forward.
-            world_from_gripper: (4, 4), where it is known: what is held moves with it.
+            images: by camera, (h, w, 3) uint8, RGB.
+            depths: by camera, z-depth (h, w) metres, registered to the image; 0, NaN and infinity mean no measurement.
+            intrinsics: by camera, (3, 3) pixels; pixel (0, 0) is the centre of the top-left pixel.
+            world_from_cameras: by camera, (4, 4) metres; camera x right, y down, z forward.
+            world_from_gripper: (4, 4) metres, if known: grasped objects move with it.
 
         Raises:
-            ValueError: something is missing for a camera, or has another shape.
+            ValueError: an input of a camera is missing, or has another shape.
         """
         return self.update(self.look(images, depths, intrinsics, world_from_cameras), world_from_gripper)
 
     def describe(self, images: Mapping[str, np.ndarray]) -> Described:
-        """What of a look needs the network, and nearly all of its time. Images of one size are described together."""
+        """Descriptors of the images, which take nearly all of a step's time; images of one size form a batch."""
         by_size: dict[tuple[int, ...], list[str]] = {}
         for name in sorted(images):
             by_size.setdefault(images[name].shape, []).append(name)
@@ -179,12 +180,12 @@ class KeypointTracker:
         world_from_cameras: Mapping[str, np.ndarray],
         described: Described | None = None,
     ) -> FrameObservations:
-        """The first half of a step, which needs the network but nothing of the frames before.
+        """The first half of a step: observations of a frame, independent of earlier ones. Arguments as for `step`.
 
         Args:
-            described: what `describe` gave for these images.
+            described: result of `describe` for these images, if already computed.
         """
-        # Copies: a robot may fill the same arrays again, and a belief remembers the frame before.
+        # Copies, as a robot may reuse its arrays, and a belief refers to the previous frame.
         K = {name: np.array(intrinsics[name], dtype=np.float64) for name in images if name in intrinsics}
         poses = {
             name: np.array(world_from_cameras[name], dtype=np.float64) for name in images if name in world_from_cameras
@@ -208,10 +209,10 @@ class KeypointTracker:
         )
 
     def update(self, look: FrameObservations, world_from_gripper: np.ndarray | None = None) -> TrackedKeypoints:
-        """The second half of a step, which needs the belief but not the network.
+        """The second half of a step: update of the belief, without the network.
 
         Raises:
-            ValueError: the gripper's transform is none, or a camera's images have another size than before.
+            ValueError: the gripper's transform is not rigid, or the size of a camera's images has changed.
         """
         gripper = None if world_from_gripper is None else np.array(world_from_gripper, dtype=np.float64)
         fault = "" if gripper is None else _fault(gripper)
@@ -228,8 +229,8 @@ class KeypointTracker:
             self.belief, seen, self._moved(gripper), self._rng, self._settings, len(self.names)
         )
         pixel = {
-            name: scale_pixels(estimate.pixel[i], one.depth.shape, look.sizes[name]) if one else estimate.pixel[i]
-            for i, (name, one) in enumerate(zip(self.cameras, seen, strict=True))
+            name: scale_pixels(estimate.pixel[i], view.depth.shape, look.sizes[name]) if view else estimate.pixel[i]
+            for i, (name, view) in enumerate(zip(self.cameras, seen, strict=True))
         }
         return TrackedKeypoints(
             names=self.names,
@@ -243,13 +244,13 @@ class KeypointTracker:
         )
 
     def hypotheses(self) -> WeightedPoints | PixelMaps:
-        """What the filter believes after the last step, not only the mean of it; maps are in the order of `cameras`."""
+        """The whole belief after the last step, as particles or pixel maps, these in the order of `cameras`."""
         seen = [self.observations.get(name) for name in self.cameras]
-        found: WeightedPoints | PixelMaps = filter_of(self._settings).hypotheses(self.belief, seen, self._settings)
-        return found
+        belief: WeightedPoints | PixelMaps = filter_of(self._settings).hypotheses(self.belief, seen, self._settings)
+        return belief
 
     def save(self, file: Path | str) -> None:
-        """Write all that the next step depends on; a kill leaves the file as it was or as it becomes."""
+        """Write the state that the next step depends on, atomically."""
         from safetensors.numpy import save_file
 
         file = Path(file)
@@ -268,10 +269,10 @@ class KeypointTracker:
             part.unlink(missing_ok=True)
 
     def load(self, file: Path | str) -> None:
-        """Go on from what `save` wrote, with the same network, references, settings and seed.
+        """Restore a state written by `save`, with the same network, references, settings and seed.
 
         Raises:
-            BadData: the file is no such state.
+            BadData: the file is not such a state.
         """
         from safetensors import SafetensorError, safe_open
 
@@ -283,13 +284,13 @@ class KeypointTracker:
             self._rng.bit_generator.state = words["rng"]
             self.n_steps, self.cameras = int(words["n_steps"]), list(words["cameras"])
         except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
-            got, fix = f"{type(error).__name__}: {error}", "take it away, and begin anew."
+            got, fix = f"{type(error).__name__}: {error}", "delete it, and start with a new tracker."
             raise BadData(file, "", expected="a tracker's state", got=got, fix=fix) from error
         self._world_from_gripper = arrays.get("gripper")
         self.observations = {}
 
     def _moved(self, world_from_gripper: np.ndarray | None) -> Motion | None:
-        """The gripper's motion since it was last known; None where it is not known now, or never was."""
+        """The gripper's motion since its last known pose; None if its pose is unknown now, or was never known."""
         before = self._world_from_gripper
         if world_from_gripper is None:
             return None
@@ -297,21 +298,21 @@ class KeypointTracker:
         return None if before is None else Motion(before, world_from_gripper)
 
     def _distances(self, described: Described) -> dict[str, np.ndarray]:
-        """Distance maps (k, h', w') of each image."""
-        found: dict[str, np.ndarray] = {}
+        """Distance maps (k, h', w') by camera."""
+        distances: dict[str, np.ndarray] = {}
         for names, cells in described:
-            found |= dict(zip(names, self._network.maps(cells, self._references), strict=True))
-        return found
+            distances |= dict(zip(names, self._network.maps(cells, self._references), strict=True))
+        return distances
 
 
 def _fitting(reference: ReferenceKeypoints, network: DescriptorNetwork) -> np.ndarray:
-    """The references' descriptors (k, d)."""
+    """Reference descriptors (k, d); `BadData` if the network's have another dimension."""
     descriptors, dimension = reference.descriptors, network.settings.descriptor_dim
     if descriptors.shape[1] != dimension:
         raise BadData(
             reference.path,
             "descriptors",
-            expected=f"{dimension} values each, as the network gives",
+            expected=f"{dimension} values each, as from the network",
             got=f"{descriptors.shape[1]}",
             fix="run `bask-data reference` again with this network.",
         )
@@ -325,12 +326,12 @@ def _check(
     K: np.ndarray | None,
     world_from_camera: np.ndarray | None,
 ) -> None:
-    """Refuse what a filter would take without a word and be lost by."""
+    """Raise `ValueError` for inputs that would silently corrupt the belief."""
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
         raise ValueError(f"camera {name}: image: expected (h, w, 3) uint8, got {image.shape} {image.dtype}")
     if depth is None or depth.shape != image.shape[:2] or not np.issubdtype(depth.dtype, np.floating):
         got = "none" if depth is None else f"{depth.shape} {depth.dtype}"
-        raise ValueError(f"camera {name}: depth: expected {image.shape[:2]} in metres, as the image, got {got}")
+        raise ValueError(f"camera {name}: depth: expected {image.shape[:2]} in metres, as for the image, got {got}")
     if K is None or K.shape != (3, 3):
         raise ValueError(f"camera {name}: intrinsics: expected (3, 3), got {'none' if K is None else K.shape}")
     if not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
@@ -343,5 +344,5 @@ def _check(
 
 
 def _fault(transform: np.ndarray) -> str:
-    """Why this is no rigid transform, or nothing."""
+    """Why a transform is not rigid; empty if it is."""
     return rigid_fault(transform) if transform.shape == (4, 4) else f"{transform.shape}"

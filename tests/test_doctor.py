@@ -18,7 +18,7 @@ def fake_module(folder: Path, name: str, source: str, monkeypatch: pytest.Monkey
     monkeypatch.setenv("PYTHONPATH", str(folder))
 
 
-def test_this_machine_has_all_that_is_needed(tmp_path: Path) -> None:
+def test_this_machine_passes_all_needed_checks(tmp_path: Path) -> None:
     found = doctor.checks(tmp_path)
     assert doctor.missing(found) == [], doctor.render(found)
     names = {check.name for check in found}
@@ -41,7 +41,7 @@ def test_a_library_the_linker_cannot_load_is_missing(monkeypatch: pytest.MonkeyP
     assert doctor.missing_libraries() == ["libnosuchthing.so.7"]
 
 
-def test_missing_libraries_are_brought_by_one_command() -> None:
+def test_missing_libraries_are_installed_by_one_command() -> None:
     [check] = doctor.library_checks(["libusb-1.0.so.0", "libEGL.so.1"])
     assert not check.ok
     assert check.found == "cannot load libEGL.so.1, libusb-1.0.so.0"
@@ -59,7 +59,7 @@ def test_a_distribution_out_of_range_is_missing(installed: dict[str, str], ok: b
     assert check.fix == "pip install 'numpy<3,>=2.1'"
 
 
-def test_a_rival_that_brings_the_same_import_will_do() -> None:
+def test_another_distribution_with_the_same_import_is_accepted() -> None:
     [check] = doctor.distribution_checks(["open3d>=0.20"], {"open3d-cpu": "0.20.0"})
     assert check.ok
 
@@ -80,7 +80,7 @@ def test_an_import_that_lacks_a_library_names_its_package(tmp_path: Path, monkey
     assert check.fix.endswith("apt-get install --no-install-recommends libgl1")
 
 
-def test_an_import_that_crashes_does_not_take_us_along(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_import_that_crashes_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fake_module(tmp_path, "cv2", f"import os; os.kill(os.getpid(), {int(signal.SIGILL)})", monkeypatch)
     check = doctor.module_check("cv2")
     assert not check.ok
@@ -88,12 +88,12 @@ def test_an_import_that_crashes_does_not_take_us_along(tmp_path: Path, monkeypat
     assert check.fix == "pip install --force-reinstall --no-deps opencv-python-headless"
 
 
-def test_an_import_that_hangs_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_import_that_hangs_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "_PROBE_SECONDS", 0.2)
     assert doctor.probe("import time; time.sleep(60)").fault == "no answer in 0.2 s"
 
 
-def test_a_file_in_the_current_folder_does_not_pass_for_a_module(
+def test_a_file_in_the_current_folder_is_not_imported_as_a_module(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "json.py").write_text("raise SystemExit(9)")
@@ -101,7 +101,7 @@ def test_a_file_in_the_current_folder_does_not_pass_for_a_module(
     assert doctor.module_check("json").ok
 
 
-def test_what_only_some_commands_need_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_packages_of_single_commands_are_noted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor.shutil, "which", lambda _: None)
     git, dvc, distributed, *others = doctor.optional_checks({"dvc": "3.67.1"})
     assert (git.ok, git.needed, git.found, git.fix) == (
@@ -116,7 +116,7 @@ def test_what_only_some_commands_need_is_noted(monkeypatch: pytest.MonkeyPatch) 
     assert (mujoco.ok, mujoco.needed, mujoco.fix) == (False, False, "pip install 'bask-data[sim]'")
 
 
-def test_what_the_simulator_draws_with_is_tried_where_the_simulator_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rendering_is_checked_if_the_simulator_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert doctor.drawing_checks({}, Probe(False, "", "No module named 'mujoco'")) == []
     [works] = doctor.drawing_checks({"mujoco": "3.17.0"}, doctor.probe(doctor._DRAW))
     assert (works.ok, works.needed, works.found) == (True, False, "works")
@@ -129,8 +129,8 @@ def test_what_the_simulator_draws_with_is_tried_where_the_simulator_is(monkeypat
 
 
 def torch_says(cuda: bool = False, built_for: str | None = None) -> Probe:
-    said = {"version": "2.13.0", "built_for": built_for, "cuda": cuda, "name": "NVIDIA H100" if cuda else ""}
-    return Probe(True, json.dumps(said))
+    document = {"version": "2.13.0", "built_for": built_for, "cuda": cuda, "name": "NVIDIA H100" if cuda else ""}
+    return Probe(True, json.dumps(document))
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def torch_says(cuda: bool = False, built_for: str | None = None) -> Probe:
     [
         (torch_says(), None, True, "none; training runs on the CPU", ""),
         (torch_says(True, "13.0"), "580.95", True, "NVIDIA H100, CUDA 13.0", ""),
-        (torch_says(), "580.95", False, "driver 580.95, but torch 2.13.0 is a CPU build", "with its CUDA builds"),
+        (torch_says(), "580.95", False, "driver 580.95, but torch 2.13.0 is a CPU build", "with CUDA builds"),
         (
             torch_says(False, "13.0"),
             "470.1",
@@ -146,10 +146,10 @@ def torch_says(cuda: bool = False, built_for: str | None = None) -> Probe:
             "torch cannot use it with driver 470.1",
             "driver to one for CUDA 13.0",
         ),
-        (Probe(False, "", "gone"), None, False, "cannot ask torch", ""),
+        (Probe(False, "", "gone"), None, False, "unknown, as torch does not work", ""),
     ],
 )
-def test_a_gpu_is_never_needed_but_an_idle_one_is_noted(
+def test_a_gpu_is_never_needed_but_an_unusable_one_is_noted(
     torch: Probe, driver: str | None, ok: bool, found: str, fix: str
 ) -> None:
     check = doctor.cuda_check(torch, driver)
@@ -169,7 +169,7 @@ def test_the_driver_version_is_read_from_nvidia_smi(tmp_path: Path, monkeypatch:
     assert doctor.nvidia_driver_version() is None
 
 
-def test_little_room_is_noted_where_the_dataset_will_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_little_disk_space_is_noted_for_the_datasets_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
     monkeypatch.setattr(doctor.shutil, "disk_usage", lambda path: asked.append(path) or SimpleNamespace(free=10**9))
     check = doctor.disk_check(tmp_path / "not" / "there" / "yet")
@@ -177,7 +177,7 @@ def test_little_room_is_noted_where_the_dataset_will_go(tmp_path: Path, monkeypa
     assert (check.ok, check.needed, check.found) == (False, False, f"1.0 GB free at {tmp_path}")
 
 
-def test_a_report_shows_what_mends_a_fault_and_only_then() -> None:
+def test_a_report_shows_the_fix_of_failed_checks_only() -> None:
     fine = Check("numpy", True, "2.4.6", fix="pip install numpy")
     note = Check("git", False, "not found", needed=False, fix="sudo apt-get install git")
     fault = Check("torch", False, "not installed", fix="pip install torch")
@@ -192,7 +192,7 @@ def test_a_report_shows_what_mends_a_fault_and_only_then() -> None:
     assert json.loads(doctor.as_json([note]))[0]["needed"] is False
 
 
-def test_set_up_asks_for_packages_and_a_fault_is_exit_code_5(
+def test_set_up_gets_the_missing_packages_and_a_failed_check_is_exit_code_5(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(doctor, "missing_libraries", lambda: ["libusb-1.0.so.0", "libGL.so.1"])

@@ -81,7 +81,7 @@ def is_the_track(track: KeypointTrack, i_frame: int, found: TrackedKeypoints) ->
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_a_tracker_gives_exactly_what_encode_gives(
+def test_a_tracker_agrees_exactly_with_encode(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     demonstration: Demonstration,
@@ -101,7 +101,7 @@ def test_a_tracker_gives_exactly_what_encode_gives(
         is_the_track(track, i_frame, stepped(tracker, demonstration, i_frame, shown))
 
 
-def test_with_a_network_too(tmp_path: Path, demonstration: Demonstration) -> None:
+def test_a_tracker_with_a_network_agrees_with_encode(tmp_path: Path, demonstration: Demonstration) -> None:
     import torch
 
     from bask_data.nn.network import DescriptorNetwork, NetworkSettings
@@ -126,10 +126,10 @@ def test_with_a_network_too(tmp_path: Path, demonstration: Demonstration) -> Non
         is_the_track(track, i_frame, stepped(tracker, demonstration, i_frame, ["side", "wrist"]))
 
 
-# As such --------------------------------------------------------------------------------------------------------------
+# By itself ------------------------------------------------------------------------------------------------------------
 
 
-def test_the_package_offers_the_tracker_and_does_not_load_it_unasked() -> None:
+def test_the_package_exports_the_tracker_and_loads_it_lazily() -> None:
     assert bask_data.KeypointTracker is KeypointTracker
     with pytest.raises(AttributeError, match="module 'bask_data' has no attribute 'Tracker'"):
         _ = bask_data.Tracker
@@ -138,9 +138,7 @@ def test_the_package_offers_the_tracker_and_does_not_load_it_unasked() -> None:
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_a_camera_that_comes_later_is_taken_in(
-    demonstration: Demonstration, reference: ReferenceKeypoints, filter: str
-) -> None:
+def test_a_camera_may_appear_later(demonstration: Demonstration, reference: ReferenceKeypoints, filter: str) -> None:
     tracker = KeypointTracker(ColourNetwork(), reference, settings_named(filter))
     alone = stepped(tracker, demonstration, 0, ["wrist"])
     assert set(alone.pixel) == {"wrist"} and set(tracker.observations) == {"wrist"}
@@ -156,7 +154,7 @@ def test_a_camera_that_comes_later_is_taken_in(
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_arrays_that_are_filled_again_change_nothing(
+def test_arrays_may_be_reused_by_the_caller(
     demonstration: Demonstration, reference: ReferenceKeypoints, filter: str
 ) -> None:
     tracker, reusing = (KeypointTracker(ColourNetwork(), reference, settings_of(filter), seed=SEED) for _ in range(2))
@@ -170,7 +168,7 @@ def test_arrays_that_are_filled_again_change_nothing(
 
 
 @pytest.mark.parametrize("hole", [np.nan, np.inf, -np.inf])
-def test_depth_that_is_no_number_is_no_measurement(
+def test_depth_that_is_not_finite_is_no_measurement(
     demonstration: Demonstration, reference: ReferenceKeypoints, hole: float
 ) -> None:
     camera = demonstration.camera("wrist")
@@ -192,7 +190,7 @@ def test_depth_that_is_no_number_is_no_measurement(
 @pytest.mark.parametrize(
     ("gripper", "got"), [(np.full((4, 4), np.nan), "a value that is not finite"), (np.zeros(3), r"\(3,\)")]
 )
-def test_a_gripper_that_is_nowhere_is_refused_and_changes_nothing(
+def test_an_invalid_gripper_pose_is_refused_and_changes_nothing(
     demonstration: Demonstration, reference: ReferenceKeypoints, gripper: np.ndarray, got: str
 ) -> None:
     tracker, other = (KeypointTracker(ColourNetwork(), reference, seed=SEED) for _ in range(2))
@@ -203,9 +201,7 @@ def test_a_gripper_that_is_nowhere_is_refused_and_changes_nothing(
     same(stepped(tracker, demonstration, 1, ["wrist"]), stepped(other, demonstration, 1, ["wrist"]))
 
 
-def test_images_of_another_size_than_before_are_refused(
-    demonstration: Demonstration, reference: ReferenceKeypoints
-) -> None:
+def test_images_whose_size_changes_are_refused(demonstration: Demonstration, reference: ReferenceKeypoints) -> None:
     tracker = KeypointTracker(ColourNetwork(), reference)
     stepped(tracker, demonstration, 0, ["wrist"])
     camera = demonstration.camera("wrist")
@@ -221,7 +217,7 @@ def test_before_any_frame_nothing_is_known(demonstration: Demonstration, referen
     assert found.mean.shape == (3, 3) and np.isnan(found.mean).all()
 
 
-def test_after_a_reset_all_comes_again(demonstration: Demonstration, reference: ReferenceKeypoints) -> None:
+def test_a_reset_tracker_repeats_its_results(demonstration: Demonstration, reference: ReferenceKeypoints) -> None:
     tracker = KeypointTracker(ColourNetwork(), reference, ParticleSettings(n_particles=100))
     first = [stepped(tracker, demonstration, i, ["wrist", "side"][: i + 1]) for i in (0, 1)]
     tracker.reset()
@@ -230,7 +226,7 @@ def test_after_a_reset_all_comes_again(demonstration: Demonstration, reference: 
         same(one, stepped(tracker, demonstration, i, ["wrist", "side"][: i + 1]))
 
 
-def test_a_gripper_not_told_of_has_moved_by_the_next_time(
+def test_a_gripper_pose_missing_in_a_frame_gives_the_whole_motion_at_the_next_one(
     demonstration: Demonstration, reference: ReferenceKeypoints
 ) -> None:
     tracker = KeypointTracker(ColourNetwork(), reference)
@@ -246,10 +242,10 @@ def test_a_gripper_not_told_of_has_moved_by_the_next_time(
 
 @pytest.mark.parametrize("filter", FILTERS)
 @pytest.mark.parametrize("n_before", [0, 2])
-def test_a_tracker_goes_on_from_its_file(
+def test_a_tracker_continues_from_its_file(
     tmp_path: Path, demonstration: Demonstration, reference: ReferenceKeypoints, filter: str, n_before: int
 ) -> None:
-    # One camera at first: a belief may lack those that have not given a frame yet.
+    # One camera at first: a belief may lack cameras without a frame so far.
     begun = KeypointTracker(ColourNetwork(), reference, settings_of(filter), seed=SEED, cameras=["side", "wrist"])
     for i_frame in range(n_before):
         stepped(begun, demonstration, i_frame, ["wrist"])
@@ -270,7 +266,7 @@ def test_a_state_that_cannot_be_written_leaves_nothing(tmp_path: Path, reference
 
 
 @pytest.mark.parametrize("content", [b"", b"12345678 nothing"])
-def test_a_file_that_is_no_state_is_refused(tmp_path: Path, reference: ReferenceKeypoints, content: bytes) -> None:
+def test_a_file_that_is_not_a_state_is_refused(tmp_path: Path, reference: ReferenceKeypoints, content: bytes) -> None:
     (tmp_path / "state").write_bytes(content)
     with pytest.raises(BadData, match="state: expected a tracker's state, got "):
         KeypointTracker(ColourNetwork(), reference).load(tmp_path / "state")
@@ -286,13 +282,13 @@ def test_a_state_of_another_filter_is_refused(
         KeypointTracker(ColourNetwork(), reference, settings_named("particle")).load(tmp_path / "state")
 
 
-# What is refused ------------------------------------------------------------------------------------------------------
+# Refused inputs -------------------------------------------------------------------------------------------------------
 
 
 def test_references_of_another_network_are_refused(tmp_path: Path) -> None:
     picks = [Pick(name="a", recording="reach", camera="wrist", frame=0, u=0, v=0)]
     ReferenceKeypoints.write(tmp_path / "r", descriptors=np.zeros((1, 4), np.float32), picks=picks)
-    with pytest.raises(BadData, match="descriptors: expected 3 values each, as the network gives, got 4"):
+    with pytest.raises(BadData, match="descriptors: expected 3 values each, as from the network, got 4"):
         KeypointTracker(ColourNetwork(), tmp_path / "r")
 
 
@@ -301,9 +297,9 @@ def test_references_of_another_network_are_refused(tmp_path: Path) -> None:
     [
         ({"images": np.zeros((8, 8, 3))}, r"camera a: image: expected \(h, w, 3\) uint8, got \(8, 8, 3\) float64"),
         ({"images": np.zeros((8, 8), np.uint8)}, r"image: expected \(h, w, 3\) uint8, got \(8, 8\) uint8"),
-        ({"depths": None}, r"camera a: depth: expected \(8, 8\) in metres, as the image, got none"),
-        ({"depths": np.ones((4, 8))}, r"depth: expected \(8, 8\) in metres, as the image, got \(4, 8\) float64"),
-        ({"depths": np.ones((8, 8), np.uint16)}, r"in metres, as the image, got \(8, 8\) uint16"),
+        ({"depths": None}, r"camera a: depth: expected \(8, 8\) in metres, as for the image, got none"),
+        ({"depths": np.ones((4, 8))}, r"depth: expected \(8, 8\) in metres, as for the image, got \(4, 8\) float64"),
+        ({"depths": np.ones((8, 8), np.uint16)}, r"in metres, as for the image, got \(8, 8\) uint16"),
         ({"intrinsics": None}, r"camera a: intrinsics: expected \(3, 3\), got none"),
         ({"intrinsics": np.eye(4)}, r"intrinsics: expected \(3, 3\), got \(4, 4\)"),
         ({"intrinsics": np.zeros((3, 3))}, r"intrinsics: expected finite numbers and positive focal lengths, got"),
@@ -314,7 +310,7 @@ def test_references_of_another_network_are_refused(tmp_path: Path) -> None:
         ({"world_from_cameras": 2 * np.eye(4)}, r"expected a rigid transform \(4, 4\), got last row"),
     ],
 )
-def test_what_a_filter_would_be_lost_by_is_refused(
+def test_inputs_that_would_corrupt_the_belief_are_refused(
     reference: ReferenceKeypoints, changed: dict[str, object], message: str
 ) -> None:
     given = {
