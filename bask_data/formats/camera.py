@@ -233,9 +233,22 @@ def _intrinsics_matrix(where: Path, values: list[float]) -> Float[ndarray, "3 3"
             "intrinsics",
             expected="a pinhole matrix: fx, fy > 0, zero below the diagonal, last row 0 0 1",
             got=K.tolist(),
-            fix="negative focal lengths mean OpenGL axes: make them positive and pass --axes opengl.",
+            fix=_fix_of_intrinsics(K),
         )
     return K
+
+
+def _fix_of_intrinsics(K: Float[ndarray, "3 3"]) -> str:
+    """What to do about a matrix that is no pinhole matrix: signs of focal lengths say which way the axes point."""
+    if K[0, 0] < 0 and K[1, 1] < 0:
+        # RLBench and CoppeliaSim: OpenCV's axes turned by 180 degrees about the viewing direction.
+        return (
+            "x points left and y up here: make fx and fy positive, and multiply each world_from_camera "
+            "by diag(-1, -1, 1, 1) from the right."
+        )
+    if K[0, 0] < 0 < K[1, 1]:
+        return "these are OpenGL axes: make fx positive and pass --axes opengl."
+    return "check the file, or pass --intrinsics fx,fy,cx,cy."
 
 
 def parse_pose(where: Path | str, values: list[float]) -> Float[ndarray, "4 4"]:

@@ -103,6 +103,25 @@ def test_intrinsics_that_are_not_a_pinhole_matrix_are_refused(text: str) -> None
         camera.parse_intrinsics(Path(), text)
 
 
+@pytest.mark.parametrize(
+    ("fx", "fy", "camera_from_opencv", "advice"),
+    [
+        (-500.0, 500.0, camera.OPENCV_FROM_OPENGL, "--axes opengl"),
+        (-500.0, -500.0, np.diag([-1.0, -1, 1, 1]), "diag\\(-1, -1, 1, 1\\)"),
+    ],
+)
+def test_the_advice_on_negative_focal_lengths_gives_the_same_pixels(
+    fx: float, fy: float, camera_from_opencv: np.ndarray, advice: str
+) -> None:
+    K = np.array([[fx, 0, 320], [0, fy, 240], [0, 0, 1]])
+    with pytest.raises(BadData, match=advice):
+        camera.parse_intrinsics(Path(), f"{fx},{fy},320,240")
+    corrected = np.array([[abs(fx), 0, 320], [0, abs(fy), 240], [0, 0, 1]])
+    point = np.array([0.1, -0.2, 1.5])  # In OpenCV axes, in front of the camera.
+    in_file = (camera_from_opencv @ [*point, 1])[:3]
+    np.testing.assert_allclose((K @ in_file)[:2] / in_file[2], (corrected @ point)[:2] / point[2])
+
+
 def test_intrinsics_of_the_stated_size_must_be_the_images_size() -> None:
     matrix, _ = camera.parse_intrinsics(Path(), "906,905,625,355")
     with pytest.raises(BadData, match="intrinsics: expected images of 1280x720, got 640x480.  fix: scale"):
