@@ -110,15 +110,15 @@ def checks(folder: Path | None = None) -> list[Check]:
     ]
 
 
-def missing(found: Iterable[Check]) -> list[Check]:
+def missing(results: Iterable[Check]) -> list[Check]:
     """Checks that are needed but not ok; with any, the exit code is 5."""
-    return [check for check in found if check.needed and not check.ok]
+    return [check for check in results if check.needed and not check.ok]
 
 
-def render(found: Iterable[Check]) -> str:
+def render(results: Iterable[Check]) -> str:
     """One line per check, followed by the fix if it is not ok."""
     lines = []
-    for check in found:
+    for check in results:
         mark = "ok     " if check.ok else "MISSING" if check.needed else "note   "
         lines.append(f"{mark}  {check.name}: {check.found}")
         if check.fix and not check.ok:
@@ -126,9 +126,9 @@ def render(found: Iterable[Check]) -> str:
     return "\n".join(lines)
 
 
-def as_json(found: Iterable[Check]) -> str:
+def as_json(results: Iterable[Check]) -> str:
     """The checks as JSON."""
-    return json.dumps([asdict(check) for check in found], indent=2)
+    return json.dumps([asdict(check) for check in results], indent=2)
 
 
 def python_check(version: tuple[int, ...]) -> Check:
@@ -177,7 +177,7 @@ def distribution_checks(requirements: Iterable[str], installed: dict[str, str]) 
     """Checks that the required Python distributions are installed in accepted versions."""
     from packaging.requirements import Requirement  # Imported late: it may be missing during set-up.
 
-    found = []
+    results = []
     for text in sorted(requirements):
         requirement = Requirement(text)
         if requirement.marker is not None and not requirement.marker.evaluate({"extra": ""}):
@@ -186,19 +186,19 @@ def distribution_checks(requirements: Iterable[str], installed: dict[str, str]) 
         version = next((installed[rival] for rival in RIVALS.get(name, (name,)) if rival in installed), None)
         ok = version is not None and requirement.specifier.contains(version, prereleases=True)
         wanted = f"{requirement.name}{requirement.specifier}"
-        found.append(Check(name, ok, version or "not installed", fix=f"pip install '{wanted}'"))
-    return found
+        results.append(Check(name, ok, version or "not installed", fix=f"pip install '{wanted}'"))
+    return results
 
 
 def rival_checks(installed: dict[str, str]) -> list[Check]:
     """Failed checks for distributions that overwrite each other."""
-    found = []
+    results = []
     for chosen, rivals in RIVALS.items():
         present = [name for name in rivals if name in installed]
         if len(present) > 1:
             fix = f"pip uninstall -y {' '.join(present)} && pip install {chosen}"
-            found.append(Check(f"one {chosen}", False, f"{' and '.join(present)} overwrite each other", fix=fix))
-    return found
+            results.append(Check(f"one {chosen}", False, f"{' and '.join(present)} overwrite each other", fix=fix))
+    return results
 
 
 def module_check(module: str) -> Check:
@@ -345,9 +345,9 @@ def main(arguments: list[str]) -> int:
     if arguments == ["--missing-packages"]:
         print(*sorted({PACKAGE_OF_LIBRARY[name] for name in missing_libraries()}))
         return 0
-    found = checks()
-    print(render(found))
-    return 5 if missing(found) else 0
+    results = checks()
+    print(render(results))
+    return 5 if missing(results) else 0
 
 
 if __name__ == "__main__":

@@ -52,16 +52,15 @@ STATE = ("keypoints", "spread", "gripper_position", "gripper_rotation", "gripper
 
 def columns_of(demonstration: Demonstration, track: KeypointTrack) -> list[Column]:
     """Columns of a demonstration: its keypoints, and its robot if recorded."""
-    group, names = demonstration.group, track.names
+    group, names = demonstration.group, tuple(track.names)
     coordinates = tuple(f"{keypoint}.{axis}" for keypoint in names for axis in "xyz")
     axes = tuple(f"gripper.{axis}_{of}" for axis in ("x_axis", "y_axis") for of in "xyz")
-    each = tuple(names)
     columns = [
         Column("time", (), "float64", "Time of the frame, as recorded.", "second"),
         Column("keypoints", coordinates, "float32", "Positions of the keypoints in the world frame.", "metre"),
         Column("spread", tuple(f"{n}.spread" for n in names), "float32", CONVENTIONS["spread"], "metre"),
-        Column("observed", each, "bool", "Whether any camera more likely than not sees the keypoint in this frame."),
-        Column("localised", each, "bool", "Whether the keypoint's position is of this frame, not kept from another."),
+        Column("observed", names, "bool", "Whether any camera more likely than not sees the keypoint in this frame."),
+        Column("localised", names, "bool", "Whether the keypoint's position is of this frame, not kept from another."),
     ]
     if "robot/world_from_gripper" in group:
         positions = tuple(f"gripper.{axis}" for axis in "xyz")

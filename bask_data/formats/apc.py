@@ -127,10 +127,10 @@ def _titled_matrices(path: Path) -> dict[str, list[float]]:
 
 
 def _titled(path: Path, matrices: dict[str, list[float]], words: str) -> list[float]:
-    found = [values for title, values in matrices.items() if words in title]
-    if len(found) != 1:
-        raise BadData(path, words, expected="one matrix under a comment with these words", got=f"{len(found)}")
-    return found[0]
+    candidates = [values for title, values in matrices.items() if words in title]
+    if len(candidates) != 1:
+        raise BadData(path, words, expected="one matrix under a comment with these words", got=f"{len(candidates)}")
+    return candidates[0]
 
 
 def _object_poses(source: Path, rig: _Rig, world: str) -> tuple[dict[int, ObjectPose], tuple[Path, ...]]:

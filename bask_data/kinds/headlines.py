@@ -26,9 +26,9 @@ def headline(artifacts: Sequence[Artifact]) -> str:
     return line([artifact.metadata for artifact in artifacts]) if line else ""
 
 
-def _reconstructions(made: Sequence[Any]) -> str:
-    explained = [each.quality.explained for each in made if each.quality.explained is not None]
-    residuals = [each.quality.residual_abs for each in made if each.quality.residual_abs is not None]
+def _reconstructions(documents: Sequence[Any]) -> str:
+    explained = [metadata.quality.explained for metadata in documents if metadata.quality.explained is not None]
+    residuals = [metadata.quality.residual_abs for metadata in documents if metadata.quality.residual_abs is not None]
     if not (explained and residuals):
         return ""
     return (
@@ -37,16 +37,16 @@ def _reconstructions(made: Sequence[Any]) -> str:
     )
 
 
-def _objects(made: Sequence[Any]) -> str:
-    counts = [len(each.instances) for each in made]
+def _objects(documents: Sequence[Any]) -> str:
+    counts = [len(metadata.instances) for metadata in documents]
     spread = f", {min(counts)} to {max(counts)} a scene" if min(counts) < max(counts) else ""
     return f"{_counted(sum(counts), 'object')}{spread}"
 
 
-def _masks(made: Sequence[Any]) -> str:
+def _masks(documents: Sequence[Any]) -> str:
     pixels: dict[str, int] = {}
-    for each in made:
-        for reason, n in each.pixels.items():
+    for metadata in documents:
+        for reason, n in metadata.pixels.items():
             pixels[reason] = pixels.get(reason, 0) + n
     agreeing, kept = pixels.get("measured_and_agreeing", 0), pixels.get("not_measured_and_kept", 0)
     hidden = sum(pixels.get(reason, 0) for reason in ("measured_in_front", "not_measured_and_hidden"))
@@ -58,38 +58,42 @@ def _masks(made: Sequence[Any]) -> str:
     )
 
 
-def _correspondences(made: Sequence[Any]) -> str:
-    matches, tried = sum(each.n_matches for each in made), sum(each.n_attempts for each in made)
+def _correspondences(documents: Sequence[Any]) -> str:
+    matches = sum(metadata.n_matches for metadata in documents)
+    tried = sum(metadata.n_attempts for metadata in documents)
     share = f"; {_percent(matches, tried)} of the pixels tried" if tried else ""
-    return f"{matches:,} matches in {_counted(sum(each.n_pairs for each in made), 'pair')} of frames{share}"
+    return (
+        f"{matches:,} matches in {_counted(sum(metadata.n_pairs for metadata in documents), 'pair')} of frames{share}"
+    )
 
 
-def _descriptors(made: Sequence[Any]) -> str:
+def _descriptors(documents: Sequence[Any]) -> str:
     return "; ".join(
-        ", ".join([*_validation(each.metrics), f"on {each.validated_on}"]) for each in made if _validation(each.metrics)
+        ", ".join([*_validation(metadata.metrics), f"on {metadata.validated_on}"])
+        for metadata in documents
+        if _validation(metadata.metrics)
     )
 
 
 def _validation(metrics: dict[str, float]) -> list[str]:
     """The most important validation metrics: median error of the best match, and share of close ones."""
-    found = []
+    words = []
     if "validation_median_error_px" in metrics:
-        found.append(f"median error {metrics['validation_median_error_px']:.1f} px")
+        words.append(f"median error {metrics['validation_median_error_px']:.1f} px")
     if "validation_pck_4" in metrics:
-        found.append(f"{100 * metrics['validation_pck_4']:.1f} % of the matches within 4 % of the diagonal")
-    return found
+        words.append(f"{100 * metrics['validation_pck_4']:.1f} % of the matches within 4 % of the diagonal")
+    return words
 
 
-def _references(made: Sequence[Any]) -> str:
-    return ", ".join(_counted(len(each.picks), "keypoint") for each in made)
+def _references(documents: Sequence[Any]) -> str:
+    return ", ".join(_counted(len(metadata.picks), "keypoint") for metadata in documents)
 
 
-def _tracks(made: Sequence[Any]) -> str:
-    least, most = (extreme(len(each.names) for each in made) for extreme in (min, max))
+def _tracks(documents: Sequence[Any]) -> str:
+    least, most = (extreme(len(metadata.names) for metadata in documents) for extreme in (min, max))
     numbers = f"{least} to {most} keypoints" if least < most else _counted(most, "keypoint")
-    return (
-        f"{numbers} in {_counted(len(made), 'demonstration')}, by {', '.join(sorted({each.filter for each in made}))}"
-    )
+    filters = ", ".join(sorted({metadata.filter for metadata in documents}))
+    return f"{numbers} in {_counted(len(documents), 'demonstration')}, by {filters}"
 
 
 def _percent(part: int, whole: int) -> str:

@@ -111,13 +111,13 @@ class KeypointsWriter:
         for camera in cameras:
             write_group(out / camera, {"bask": {"role": "camera"}})
         self._cameras = cameras
-        each = [name for name in KeypointTrack.arrays if not name.startswith("{camera}/")]
+        common = [name for name in KeypointTrack.arrays if not name.startswith("{camera}/")]
         of_camera = [
             name.format(camera=camera) for camera in cameras for name in ("{camera}/pixel", "{camera}/observed")
         ]
         self._rows = {
             name: RowWriter(group, KeypointTrack, name, _row_shape(name, len(names)), n_kept)
-            for name in (*each, *of_camera)
+            for name in (*common, *of_camera)
         }
 
     def append(
