@@ -53,7 +53,7 @@ def test_replacing_works_where_directories_cannot_be_exchanged(tmp_path: Path, m
     assert list((tmp_path / ".scratch").iterdir()) == []
 
 
-def test_recover_brings_back_what_was_parked_when_the_process_died(tmp_path: Path) -> None:
+def test_recover_restores_what_was_parked_when_the_process_died(tmp_path: Path) -> None:
     parked = filled(tmp_path, "new")
     parked = as_if_by(parked, dead_process())
     parked = parked.rename(parked.with_name(parked.name + ".parked"))
@@ -75,7 +75,7 @@ def test_recover_never_moves_anything_out_of_the_dataset(tmp_path: Path) -> None
     assert not (tmp_path / "outside").exists()
 
 
-def test_recover_removes_scratch_of_the_dead_and_leaves_that_of_the_living(tmp_path: Path) -> None:
+def test_recover_removes_scratch_of_ended_processes_only(tmp_path: Path) -> None:
     dead = as_if_by(filled(tmp_path, "dead"), dead_process())
     living = filled(tmp_path, "living")
     other_host = living.with_name(f"thing~elsewhere~{dead_process()}~0")
@@ -86,7 +86,7 @@ def test_recover_removes_scratch_of_the_dead_and_leaves_that_of_the_living(tmp_p
     assert other_host.exists()
 
 
-def test_json_is_replaced_whole(tmp_path: Path) -> None:
+def test_json_is_replaced_atomically(tmp_path: Path) -> None:
     file = tmp_path / "a.json"
     write_json_atomically(file, {"a": 1})
     with pytest.raises(ValueError, match="not JSON compliant"):
@@ -94,7 +94,7 @@ def test_json_is_replaced_whole(tmp_path: Path) -> None:
     assert read_json(file) == {"a": 1}
 
 
-def test_a_text_that_cannot_be_written_leaves_the_old_one_and_nothing_else(tmp_path: Path) -> None:
+def test_failed_write_keeps_the_old_file_and_leaves_nothing_else(tmp_path: Path) -> None:
     file = tmp_path / "file.json"
     write_text_atomically(file, "old")
     with pytest.raises(UnicodeEncodeError):
@@ -102,7 +102,7 @@ def test_a_text_that_cannot_be_written_leaves_the_old_one_and_nothing_else(tmp_p
     assert [(one, one.read_text()) for one in tmp_path.iterdir()] == [(file, "old")]
 
 
-def test_a_text_that_cannot_take_its_place_leaves_nothing_beside_it(tmp_path: Path) -> None:
+def test_failed_replacement_leaves_no_temporary_file(tmp_path: Path) -> None:
     folder = tmp_path / "file.json"
     folder.mkdir()
     with pytest.raises(OSError, match=r"file\.json"):
@@ -118,7 +118,7 @@ def test_a_text_that_cannot_take_its_place_leaves_nothing_beside_it(tmp_path: Pa
         (b"[" * 100_000, "expected a JSON document"),
     ],
 )
-def test_broken_json_is_named(tmp_path: Path, content: bytes, message: str) -> None:
+def test_invalid_json_is_reported_with_its_path(tmp_path: Path, content: bytes, message: str) -> None:
     file = tmp_path / "a.json"
     file.write_bytes(content)
     with pytest.raises(BadData, match=message) as raised:
@@ -134,12 +134,12 @@ def test_huge_json_is_not_read(tmp_path: Path) -> None:
         read_json(file)
 
 
-def test_missing_manifest_is_named(tmp_path: Path) -> None:
+def test_missing_manifest_is_reported_with_its_path(tmp_path: Path) -> None:
     with pytest.raises(BadData, match=r"artifact.json: expected a file, got nothing"):
         read_manifest(tmp_path)
 
 
-def test_manifest_with_a_missing_field_is_named(tmp_path: Path) -> None:
+def test_missing_field_of_a_manifest_is_reported(tmp_path: Path) -> None:
     (tmp_path / "artifact.json").write_text('{"kind": "scan"}')
     with pytest.raises(BadData, match="schema_version: expected a value, got none"):
         read_manifest(tmp_path)

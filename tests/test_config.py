@@ -55,7 +55,7 @@ def test_unknown_names_are_refused_with_the_choices(tmp_path: Path, text: str, m
         ("!!python/object/apply:os.system ['touch ran']", "expected YAML, got could not determine a constructor"),
     ],
 )
-def test_files_that_are_no_configuration_are_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_files_that_are_not_a_configuration_are_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(BadData, match=message):
         load_config(written(tmp_path, text), [], STAGES)
     assert not Path("ran").exists()
@@ -140,7 +140,7 @@ def test_no_key_stays_in_a_file_twice(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["# Ours.\r\nfuse: {a: 1}\r\n", None])
-def test_a_section_is_taken_back_if_what_it_is_for_fails(tmp_path: Path, text: str | None) -> None:
+def test_written_section_is_undone_if_the_body_fails(tmp_path: Path, text: str | None) -> None:
     file = tmp_path / "params.yaml"
     if text is not None:
         file.write_bytes(text.encode())
@@ -151,13 +151,13 @@ def test_a_section_is_taken_back_if_what_it_is_for_fails(tmp_path: Path, text: s
     assert (file.read_bytes().decode() if file.exists() else None) == text
 
 
-def test_a_file_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+def test_unwritable_file_is_reported(tmp_path: Path) -> None:
     (tmp_path / "no_folder").write_text("")
     with pytest.raises(BadData, match="expected a writable file, got .*no_folder"):
         write_section(tmp_path / "no_folder" / "params.yaml", "pick", {"n": 3})
 
 
-def test_a_file_that_is_none_of_ours_is_left_alone(tmp_path: Path) -> None:
+def test_file_that_is_not_a_configuration_is_not_changed(tmp_path: Path) -> None:
     file = written(tmp_path, "- a\n")
     with pytest.raises(BadData, match="expected a section per stage, got list"):
         write_section(file, "pick", {})

@@ -9,7 +9,7 @@ from bask_data.kinds import Demonstration, Scan
 from tests.datasets import add_scan
 
 
-def test_every_artifact_is_held_with_its_size_digest_and_cameras(tmp_path: Path) -> None:
+def test_contents_list_every_artifact_with_size_digest_and_cameras(tmp_path: Path) -> None:
     dataset = Dataset.create(tmp_path / "d")
     assert contents(dataset) == []
     add_scan(dataset, "a")

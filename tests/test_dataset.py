@@ -38,14 +38,14 @@ def test_file_in_place_of_the_directory_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../up", "a/b", "", ".hidden", "-x", "a" * 65, "a b", "a\n"])
-def test_names_that_are_no_plain_directory_are_refused(tmp_path: Path, name: str) -> None:
+def test_names_that_are_not_a_plain_directory_are_refused(tmp_path: Path, name: str) -> None:
     dataset = Dataset.create(tmp_path)
     with pytest.raises(UsageError, match="name: expected letters, digits"):
         dataset.add("scene", name, SOURCE)
 
 
 @pytest.mark.parametrize("field", ["scenes", "demonstrations"])
-def test_names_in_a_strangers_dataset_file_are_checked(tmp_path: Path, field: str) -> None:
+def test_names_in_an_untrusted_dataset_file_are_checked(tmp_path: Path, field: str) -> None:
     Dataset.create(tmp_path)
     document = json.loads((tmp_path / "dataset.json").read_text())
     document[field] = {"../../etc": SOURCE.model_dump()}
@@ -54,7 +54,7 @@ def test_names_in_a_strangers_dataset_file_are_checked(tmp_path: Path, field: st
         Dataset(tmp_path)
 
 
-def test_variants_of_inputs_in_a_strangers_dataset_file_are_checked(tmp_path: Path) -> None:
+def test_variants_of_inputs_in_an_untrusted_dataset_file_are_checked(tmp_path: Path) -> None:
     Dataset.create(tmp_path)
     document = json.loads((tmp_path / "dataset.json").read_text())
     document["variants"] = {"reference": {"fine": {"inputs": {"descriptor": "../../etc"}}}}
@@ -127,7 +127,7 @@ def test_splits_name_existing_scenes_once(tmp_path: Path) -> None:
     assert Dataset(tmp_path).file.splits.test == ("b",)
 
 
-def test_splits_in_a_file_that_name_no_scene_are_named(tmp_path: Path) -> None:
+def test_splits_that_name_an_unknown_scene_are_refused(tmp_path: Path) -> None:
     Dataset.create(tmp_path)
     document = json.loads((tmp_path / "dataset.json").read_text())
     document["splits"]["train"] = ["nope"]

@@ -87,7 +87,7 @@ def test_every_written_parameter_reads_back_as_it_is(repository: Path) -> None:
         assert stage.params.model_validate(config[stage.name]) == wanted
 
 
-def test_own_lines_of_gitignore_stay(repository: Path) -> None:
+def test_other_lines_of_gitignore_are_kept(repository: Path) -> None:
     file = repository / "table" / ".gitignore"
     file.write_text("mine\n")
     sh(repository, "bask-data", "dvc", "table")
@@ -116,7 +116,7 @@ def test_variants_have_stages_of_their_own(repository: Path) -> None:
     assert "descriptor/main" in stages["encode-plain-d"]["deps"]
 
 
-def test_repro_runs_all_then_nothing_then_what_a_change_reaches(repository: Path) -> None:
+def test_repro_runs_all_then_nothing_then_what_a_change_affects(repository: Path) -> None:
     everything = {
         *("ingest-a", "ingest-d", "reconstruct-a", "objects-a", "masks-a", "correspondences-a"),
         *("train", "reference", "encode-d"),

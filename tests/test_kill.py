@@ -133,7 +133,7 @@ app(sys.argv[1:])
 
 
 @pytest.mark.kill
-def test_a_killed_encode_goes_on_where_it_was_and_comes_to_the_same(tmp_path: Path) -> None:
+def test_killed_encode_resumes_and_gives_the_same_result(tmp_path: Path) -> None:
     whole, cut = (dataset_of(tmp_path / name, {"wrist": poses()}) for name in ("whole", "cut"))
     assert f"{N_FRAMES} frames of 1 cameras" in encoded(whole.root)
     begun = encoding(cut.root, pause=600)

@@ -49,13 +49,13 @@ class Example(Params):
         ({"stepz": 3}, ("stepz", "no field of that name", "3")),
     ],
 )
-def test_a_fault_is_told_in_plain_words(values: dict[str, Any], fault: tuple[str, str, str]) -> None:
+def test_errors_are_reported_in_plain_words(values: dict[str, Any], fault: tuple[str, str, str]) -> None:
     with pytest.raises(ValidationError) as caught:
         Example.model_validate(values)
     assert first_fault(caught.value) == fault
 
 
-def test_a_long_value_is_cut() -> None:
+def test_long_value_is_truncated() -> None:
     with pytest.raises(ValidationError) as caught:
         Example.model_validate({"rate": "x" * 1000})
     assert first_fault(caught.value)[2] == f"'{'x' * 80}'"

@@ -17,7 +17,7 @@ def heard() -> Iterator[list[tuple[str, int, int | None]]]:
     listen(None)
 
 
-def test_several_loops_are_the_steps_of_one_piece_of_work(heard) -> None:
+def test_several_loops_count_as_steps_of_one(heard) -> None:
     steps = Steps("looking", 6)
     assert list(steps.over("ab")) == ["a", "b"]
     assert list(steps.over("c", weight=3)) == ["c"]
@@ -25,7 +25,7 @@ def test_several_loops_are_the_steps_of_one_piece_of_work(heard) -> None:
     assert heard == [("looking", done, 6) for done in (0, 1, 2, 5, 6)]
 
 
-def test_a_thread_listens_to_its_own_loops_beside_the_process(heard) -> None:
+def test_thread_listener_hears_only_its_thread_and_the_process_listener_all(heard) -> None:
     own: list[str] = []
     other = threading.Thread(target=lambda: list(progress([1], "other")))
     with listened_by(lambda label, done, total: own.append(f"{label} {done}/{total}")):

@@ -87,7 +87,7 @@ def state_of(task: Task, seen: Live = LIVE) -> State:
     try:
         made = seen.made(task.target)
     except BadData:
-        return State("stale", "its manifest is missing or broken")
+        return State("stale", "its manifest is missing or damaged")
     parts = key_parts(task, seen)
     if made.key == digest_of(parts):
         return State("up to date", _unseen_files(task))

@@ -1,6 +1,6 @@
-"""The help of every command as text files in `tests/cli/help/`, so that a change of a word is seen in a review.
+"""Snapshots of the help of every command in `tests/cli/help/`, so that changes of wording show up in a review.
 
-`python -m tests.cli.help_texts` writes them anew, with `--check` it only says which are not as the code has them.
+`python -m tests.cli.help_texts` renews them; with `--check` it only lists those that differ.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ COLUMNS = "100"
 
 
 def commands(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """The words of every command and group, the program's own help first."""
+    """Names of every command and group, as words; the program itself comes first."""
     yield path
     if hasattr(command, "list_commands"):
         for name in command.list_commands(None):
@@ -29,7 +29,7 @@ def commands(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ..
 
 
 def rendered() -> dict[str, str]:
-    """File name to text."""
+    """Help texts by file name."""
     environment = {"COLUMNS": COLUMNS, "NO_COLOR": "1"}
     texts = {}
     for path in commands(get_command(app)):
@@ -40,17 +40,19 @@ def rendered() -> dict[str, str]:
 
 
 def changed() -> list[str]:
-    """Names of files that are not as rendered, or that no command has."""
+    """Names of snapshots that differ from the help, are missing, or belong to no command."""
     texts = rendered()
-    there = {file.name: file.read_text() for file in FOLDER.glob("*.txt")}
-    return sorted(name for name in {*texts, *there} if texts.get(name) != there.get(name))
+    snapshots = {file.name: file.read_text() for file in FOLDER.glob("*.txt")}
+    return sorted(name for name in {*texts, *snapshots} if texts.get(name) != snapshots.get(name))
 
 
 def main(arguments: list[str]) -> int:
-    """Write the files, or with `--check` say which differ; exit code 1 then."""
+    """Write the files, or with `--check` list those that differ, with exit code 1."""
     names = changed()
     if arguments == ["--check"]:
-        print("\n".join(f"{name}: differs.  fix: python -m tests.cli.help_texts" for name in names) or "help: as it is")
+        print(
+            "\n".join(f"{name}: differs.  fix: python -m tests.cli.help_texts" for name in names) or "help: up to date"
+        )
         return 1 if names else 0
     texts = rendered()
     FOLDER.mkdir(exist_ok=True)

@@ -47,14 +47,14 @@ def test_every_parameter_of_every_stage_is_an_option_that_says_what_it_does(stag
         assert option in shown.stdout
 
 
-def test_no_stage_reads_the_truth_unless_told_to_write_it_down() -> None:
-    readers = [stage for stage in STAGES if "truth" in [given.artifact.kind for given in stage.inputs]]
-    # One may be told to write it down as a track; unless it is, it is handed none.
+def test_no_stage_reads_ground_truth_by_default() -> None:
+    readers = [stage for stage in STAGES if "truth" in [input_.artifact.kind for input_ in stage.inputs]]
+    # `encode` can write ground truth as a track, but by default it does not read it.
     assert [stage.name for stage in readers] == ["encode"]
     assert readers[0].params().reads("truth") == ()
 
 
-def test_json_stands_alone_on_stdout(tmp_path: Path) -> None:
+def test_json_is_the_only_output_on_stdout(tmp_path: Path) -> None:
     ended = cli("init", tmp_path / "d", "--json")
     assert json.loads(ended.stdout)["command"] == "init"
     assert "next: bask-data ingest" in ended.stderr
@@ -77,12 +77,12 @@ def test_json_stands_alone_on_stdout(tmp_path: Path) -> None:
         (["ingest", "frames", "{root}/none", "{root}", "--scene", "b"], 2, "SOURCE: expected a directory that exists"),
     ],
 )
-def test_errors_have_a_code_and_a_remedy(dataset: Dataset, arguments: list[str], code: int, message: str) -> None:
+def test_errors_have_an_exit_code_and_a_fix(dataset: Dataset, arguments: list[str], code: int, message: str) -> None:
     ended = cli(*[argument.format(root=dataset.root) for argument in arguments])
     assert (ended.exit_code, message in ended.stderr) == (code, True), ended.stderr
 
 
-def test_interrupt_leaves_with_130_and_says_how_to_go_on(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_exits_with_130_and_says_how_to_continue(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
@@ -92,7 +92,7 @@ def test_interrupt_leaves_with_130_and_says_how_to_go_on(dataset: Dataset, monke
     assert "run the same command again to continue" in ended.stderr
 
 
-def test_library_that_does_not_load_leaves_with_5(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_library_that_does_not_load_exits_with_5(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
     # An earlier test may have loaded it already: both the module and the package's name for it have to go.
     monkeypatch.delitem(sys.modules, "bask_data.core.tsdf", raising=False)
@@ -102,7 +102,7 @@ def test_library_that_does_not_load_leaves_with_5(dataset: Dataset, monkeypatch:
     assert "fix: bask-data doctor" in ended.stderr
 
 
-def test_dry_run_says_what_and_why_and_makes_nothing(dataset: Dataset) -> None:
+def test_dry_run_shows_what_would_be_made_and_why_and_makes_nothing(dataset: Dataset) -> None:
     ended = cli("run", dataset.root, "--dry-run", "--json")
     outcomes = json.loads(ended.stdout)["outcomes"]
     assert outcomes[0]["label"] == "reconstruct a"
@@ -118,7 +118,7 @@ def test_status_says_what_is_missing(dataset: Dataset) -> None:
     assert {"stage": "objects", "label": "objects a", "status": "blocked", "why": "reconstruction/a is missing"} in rows
 
 
-def test_a_broken_input_is_told_of_what_is_made_of_it_and_ends_no_list(dataset: Dataset) -> None:
+def test_damaged_input_blocks_what_reads_it_and_status_lists_the_rest(dataset: Dataset) -> None:
     (dataset.path(Scan, "a") / "artifact.json").write_text("{}")
     rows = json.loads(cli("status", dataset.root, "--json").stdout)["artifacts"]
     assert (rows[0]["label"], rows[0]["status"]) == ("reconstruct a", "blocked")
@@ -129,7 +129,7 @@ def test_a_broken_input_is_told_of_what_is_made_of_it_and_ends_no_list(dataset: 
     assert cli("reconstruct", dataset.root).exit_code == 4
 
 
-def test_a_file_of_a_parameter_that_is_not_there_ends_no_list(dataset: Dataset) -> None:
+def test_missing_file_of_a_parameter_is_shown_and_status_lists_the_rest(dataset: Dataset) -> None:
     for kind, item in ((VisibleMasks, "a"), (Correspondences, "a")):
         publish_artifact(dataset, kind, item, lambda out: None)
     (dataset.root / "params.yaml").write_text("train: {weights: nowhere.pth}")
@@ -142,8 +142,8 @@ def test_a_file_of_a_parameter_that_is_not_there_ends_no_list(dataset: Dataset) 
 
 
 def test_info_and_validate_of_a_recording(dataset: Dataset) -> None:
-    found = json.loads(cli("info", dataset.root, "--json").stdout)
-    assert found["artifacts"][0]["cameras"] == {"wrist": "2 x 6x4"}
+    info = json.loads(cli("info", dataset.root, "--json").stdout)
+    assert info["artifacts"][0]["cameras"] == {"wrist": "2 x 6x4"}
     assert cli("validate", dataset.root).exit_code == 0
     (dataset.path(Scan, "a") / "wrist" / "zarr.json").unlink()
     ended = cli("validate", dataset.root)
@@ -176,7 +176,7 @@ def test_split_is_recorded(dataset: Dataset) -> None:
 
 
 @pytest.mark.parametrize("option", ["--variant", "--descriptor"])
-def test_variant_that_leads_out_of_the_dataset_touches_nothing(dataset: Dataset, option: str) -> None:
+def test_variant_that_is_a_path_out_of_the_dataset_is_refused(dataset: Dataset, option: str) -> None:
     precious = dataset.root.parent / "victim" / "file"
     precious.parent.mkdir()
     precious.touch()

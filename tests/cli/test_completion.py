@@ -95,7 +95,7 @@ def test_all_stages_are_offered_to_set(folder: Path) -> None:
     }
 
 
-def test_the_tab_key_of_an_interactive_bash_completes(folder: Path) -> None:
+def test_tab_completes_in_an_interactive_bash(folder: Path) -> None:
     process, terminal = pty.fork()
     if process == 0:  # pragma: no cover  # It becomes bash.
         os.chdir(folder)
@@ -124,7 +124,7 @@ def until(terminal: int, pattern: str) -> None:
 
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
-def test_other_shells_have_a_script_that_asks_the_program(shell: str) -> None:
+def test_scripts_of_other_shells_ask_the_program(shell: str) -> None:
     shown = CliRunner().invoke(app, ["completion", shell])
     assert shown.exit_code == 0
     assert f"_BASK_DATA_COMPLETE=complete_{shell}" in shown.stdout

@@ -8,13 +8,13 @@ from bask_data.cli.console import say, shown_progress
 from bask_data.progress import note, progress
 
 
-def test_escape_sequences_from_strangers_never_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+def test_escape_sequences_in_data_never_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     say("a\x1b[31mb\x1b]0;title\x07c\x9b31m\nd")
     assert capsys.readouterr().err == "ab]0;titlec31m\nd\n"
 
 
 @pytest.mark.parametrize("is_terminal", [False, True])
-def test_what_is_told_during_a_loop_is_seen_at_once(
+def test_notes_during_a_loop_are_shown_at_once(
     is_terminal: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)

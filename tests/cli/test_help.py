@@ -28,23 +28,23 @@ def shown(*words: str, columns: int = 100) -> str:
 def command_of(words: list[str]) -> Any:
     command = get_command(app)
     for word in words:
-        if not hasattr(command, "get_command") or (found := command.get_command(None, word)) is None:
+        if not hasattr(command, "get_command") or (subcommand := command.get_command(None, word)) is None:
             break
-        command = found
+        command = subcommand
     return command
 
 
-def test_help_is_as_it_was_last_looked_at() -> None:
+def test_help_matches_its_snapshots() -> None:
     assert changed() == [], "if the change is wanted: python -m tests.cli.help_texts"
 
 
-def test_a_changed_help_is_told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_changed_help_is_reported(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tests.cli.help_texts.COLUMNS", "60")
     assert main(["--check"]) == 1
     assert "bask-data-train.txt: differs.  fix: python -m tests.cli.help_texts" in capsys.readouterr().out
 
 
-def test_the_list_of_commands_says_what_their_help_begins_with() -> None:
+def test_list_of_commands_shows_the_first_sentence_of_their_help() -> None:
     for entry in COMMANDS:
         assert command_of([entry.name]).name == entry.name
         first = (command_of([entry.name]).help or "").split("\n\n")[0]
@@ -64,7 +64,7 @@ def test_every_help_has_examples_of_commands_and_options_that_exist() -> None:
             assert {word for word in words if word.startswith("--")} <= known, example
 
 
-def test_help_is_as_wide_as_the_terminal_but_no_wider_than_one_reads() -> None:
+def test_help_fills_the_terminal_up_to_a_readable_width() -> None:
     widest = {columns: max(map(len, shown("train", columns=columns).splitlines())) for columns in (70, 100, 400)}
     assert widest[100] > 90
     assert widest[400] <= 120
@@ -87,7 +87,7 @@ def test_headings_name_fields_that_exist() -> None:
         assert set(named) <= set(models[command].model_fields), command
 
 
-def test_both_flags_show_the_same_help_and_nothing_at_all_shows_it_too() -> None:
+def test_both_flags_and_no_arguments_show_the_same_help() -> None:
     runner = CliRunner(env={"COLUMNS": "100"})
     assert runner.invoke(app, ["-h"]).stdout == runner.invoke(app, ["--help"]).stdout
     for words in ([], ["ingest"], ["evaluate"]):
@@ -106,6 +106,6 @@ def test_help_and_version_load_no_command() -> None:
 
 
 def test_all_commands_are_found() -> None:
-    found = {" ".join(path) for path in commands(get_command(app))}
-    assert {"", "run", "ingest", "ingest sim", "evaluate keypoints", "completion"} <= found
-    assert {stage.name for stage in STAGES} <= found
+    names = {" ".join(path) for path in commands(get_command(app))}
+    assert {"", "run", "ingest", "ingest sim", "evaluate keypoints", "completion"} <= names
+    assert {stage.name for stage in STAGES} <= names

@@ -61,7 +61,7 @@ def test_status_is_a_result_on_stdout_and_the_next_command_is_not(dataset: Datas
 
 
 @pytest.mark.parametrize("command", ["status", "info", "validate", "split", "init"])
-def test_with_json_there_is_nothing_else_on_stdout(dataset: Dataset, command: str, tmp_path: Path) -> None:
+def test_with_json_stdout_holds_nothing_else(dataset: Dataset, command: str, tmp_path: Path) -> None:
     root = tmp_path / "new" if command == "init" else dataset.root
     ended = CliRunner().invoke(app, [command, str(root), "--json"])
     assert ended.exit_code == 0
@@ -90,7 +90,7 @@ def test_a_dry_run_is_a_summary_and_lists_all_on_demand(dataset: Dataset) -> Non
     assert "  would make  objects e  (after reconstruction/e)" in every.stdout.splitlines()
 
 
-def test_a_run_says_where_it_is_and_how_long_it_takes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_run_shows_its_position_and_the_time_left(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     def outcome(kind: str, item: str, status: str, seconds: float = 0.0) -> Outcome:
         path = str(tmp_path / kind / item)
         return Outcome(f"{kind} {item}", kind, item, "main", path, status, seconds=seconds)  # type: ignore[arg-type]
@@ -101,10 +101,10 @@ def test_a_run_says_where_it_is_and_how_long_it_takes(capsys: pytest.CaptureFixt
     list(course.shown([outcome("masks", "a", "failed", 100.0)]))
     course.begin(Position("masks", "main", 3, 7, "d", 4, 4))
     list(course.shown([outcome("masks", "d", "up to date")]))
-    told = capsys.readouterr().err.splitlines()
-    assert told[0] == "  stage 3 of 7: masks a (1 of 4)"
-    assert told[-1] == "  up to date  1 masks"
-    assert not any("masks d" in line for line in told), "what is up to date is counted"
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "  stage 3 of 7: masks a (1 of 4)"
+    assert lines[-1] == "  up to date  1 masks"
+    assert not any("masks d" in line for line in lines), "what is up to date is counted"
     course = Course(Forecast(tmp_path, predicted), is_pipeline=False)
     course._forecast._seconds["masks"] = [40.0]
     course.begin(Position("masks", "main", 1, 1, "", 1, 4))
@@ -112,5 +112,5 @@ def test_a_run_says_where_it_is_and_how_long_it_takes(capsys: pytest.CaptureFixt
 
 
 @pytest.mark.parametrize(("seconds", "words"), [(3.14, "3.1 s"), (75, "1 min 15 s"), (7500, "2 h 5 min")])
-def test_a_duration_is_said_as_a_person_says_it(seconds: float, words: str) -> None:
+def test_durations_are_printed_in_readable_units(seconds: float, words: str) -> None:
     assert duration(seconds) == words

@@ -42,7 +42,7 @@ FORM = re.compile(r"error: [^:]+: (\S+: )?expected .+, got .+\.  fix: .+")
         ("export csv d out", "FORMAT: expected one of parquet, lerobot, robomimic, diffusion-policy, got 'csv'."),
     ],
 )
-def test_what_the_parser_refuses_has_our_form(line: str, message: str) -> None:
+def test_errors_of_the_parser_have_our_form(line: str, message: str) -> None:
     ended = CliRunner().invoke(app, line.split(), prog_name="bask-data")
     assert ended.exit_code == 2
     assert ended.stdout == ""
@@ -61,7 +61,7 @@ def test_what_the_parser_refuses_has_our_form(line: str, message: str) -> None:
         ("train.steps=many", "train: steps: expected a whole number, got 'many'."),
     ],
 )
-def test_a_misspelt_parameter_is_told_what_it_may_have_meant(tmp_path: Path, assignment: str, message: str) -> None:
+def test_misspelt_parameter_gets_a_suggestion(tmp_path: Path, assignment: str, message: str) -> None:
     runner = CliRunner()
     assert runner.invoke(app, ["init", str(tmp_path / "d")]).exit_code == 0
     (tmp_path / "d" / "dataset.json").write_text('{"name": "d", "scenes": {"a": {"format": "frames", "path": "x"}}}')
@@ -70,7 +70,7 @@ def test_a_misspelt_parameter_is_told_what_it_may_have_meant(tmp_path: Path, ass
     assert message in ended.stderr
 
 
-def test_usage_errors_of_the_program_itself_leave_with_2() -> None:
+def test_usage_errors_of_the_program_itself_exit_with_2() -> None:
     ended = subprocess.run([sys.executable, "-m", "bask_data.cli", "--nope"], capture_output=True, text=True)
     assert (ended.returncode, ended.stdout) == (2, "")
     message = "error: bask-data: expected an option of this command, got --nope."

@@ -20,7 +20,7 @@ def record(root: Path, kind: str, item: str, content: object) -> None:
     file.write_text(json.dumps(content))
 
 
-def test_what_was_made_tells_how_long_the_rest_takes(tmp_path: Path) -> None:
+def test_time_left_follows_from_the_tasks_made_so_far(tmp_path: Path) -> None:
     tasks = [predicted(tmp_path, "mesh", name) for name in "abc"]
     forecast = Forecast(tmp_path, tasks)
     assert forecast.left() == (0.0, False)
@@ -32,7 +32,7 @@ def test_what_was_made_tells_how_long_the_rest_takes(tmp_path: Path) -> None:
     assert forecast.left() == (0.0, True)
 
 
-def test_records_of_earlier_work_tell_it_before_anything_is_made(tmp_path: Path) -> None:
+def test_time_left_follows_from_provenance_before_anything_is_made(tmp_path: Path) -> None:
     tasks = [predicted(tmp_path, "mesh", name) for name in "ab"]
     tasks.append(predicted(tmp_path, "mesh", "c", "up to date"))
     record(tmp_path, "mesh", "b", {"seconds": 4.0})
@@ -41,12 +41,12 @@ def test_records_of_earlier_work_tell_it_before_anything_is_made(tmp_path: Path)
 
 
 @pytest.mark.parametrize("content", [{}, {"seconds": "long"}, [], None])
-def test_a_record_that_is_not_sound_tells_nothing(tmp_path: Path, content: object) -> None:
+def test_damaged_provenance_counts_as_none(tmp_path: Path, content: object) -> None:
     record(tmp_path, "mesh", "a", content)
     assert Forecast(tmp_path, [predicted(tmp_path, "mesh", "a")]).left() == (0.0, False)
 
 
-def test_what_is_not_known_of_one_stage_makes_it_a_lower_bound(tmp_path: Path) -> None:
+def test_unknown_duration_of_a_stage_makes_the_estimate_a_lower_bound(tmp_path: Path) -> None:
     record(tmp_path, "mesh", "a", {"seconds": 4.0})
     tasks = [predicted(tmp_path, "mesh", "a"), predicted(tmp_path, "net", "")]
     assert Forecast(tmp_path, tasks).left() == (4.0, False)

@@ -37,7 +37,7 @@ def one(dataset: Dataset, stage: Stage, **options: object) -> Outcome:
     return make(task)
 
 
-def test_signature_says_what_a_stage_reads_and_makes() -> None:
+def test_signature_defines_what_a_stage_reads_and_makes() -> None:
     assert [(given.artifact.kind, given.gather) for given in learn.inputs] == [("scan", True), ("objects", True)]
     assert learn.wants_splits
     assert learn.resumable
@@ -147,7 +147,7 @@ def test_adding_a_scene_leaves_the_others_and_remakes_what_gathers(dataset: Data
     assert one(dataset, learn).status == "made"
 
 
-def test_interrupted_resumable_stage_goes_on_where_it_was(dataset: Dataset) -> None:
+def test_interrupted_resumable_stage_continues_from_its_scratch(dataset: Dataset) -> None:
     statuses(dataset, fuse)
     statuses(dataset, pick)
     (dataset.root / "interrupt").touch()
@@ -159,7 +159,7 @@ def test_interrupted_resumable_stage_goes_on_where_it_was(dataset: Dataset) -> N
     assert not list((dataset.root / ".scratch").glob("resume~*/"))
 
 
-def test_variants_stand_beside_each_other(dataset: Dataset) -> None:
+def test_variants_exist_side_by_side(dataset: Dataset) -> None:
     for stage in (fuse, pick):
         statuses(dataset, stage)
     assert one(dataset, learn, variant="small").status == "made"
@@ -177,7 +177,7 @@ def test_tasks_run_in_other_processes(dataset: Dataset) -> None:
     assert {(outcome.item, outcome.status) for outcome in outcomes} == {("a", "made"), ("b", "made")}
 
 
-def test_errors_cross_processes_whole(dataset: Dataset) -> None:
+def test_errors_survive_pickling_between_processes(dataset: Dataset) -> None:
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         [outcome, *_] = run(plan(dataset, fuse, options={"fail": "this"}, only=["a"]), executor=pool)
     assert outcome.error is not None
@@ -197,12 +197,12 @@ def test_unknown_item_is_refused_with_the_choices(dataset: Dataset) -> None:
         ({"voxel": 1}, "fuse: voxel: .* fix: one of voxel_size, fail, ignored, file."),
     ],
 )
-def test_wrong_parameters_are_refused(dataset: Dataset, options: dict[str, object], message: str) -> None:
+def test_invalid_parameters_are_refused(dataset: Dataset, options: dict[str, object], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         plan(dataset, fuse, options=options)
 
 
-def test_manifest_depends_on_content_alone(dataset: Dataset, tmp_path: Path) -> None:
+def test_manifest_depends_only_on_content(dataset: Dataset, tmp_path: Path) -> None:
     statuses(dataset, fuse)
     copy = Dataset(
         shutil.copytree(dataset.root, tmp_path / "elsewhere", ignore=shutil.ignore_patterns("reconstruction"))
@@ -215,21 +215,21 @@ def test_manifest_depends_on_content_alone(dataset: Dataset, tmp_path: Path) -> 
         assert manifests[0] == manifests[1]
 
 
-def test_provenance_lies_outside_the_artifact(dataset: Dataset) -> None:
+def test_provenance_is_stored_outside_the_artifact(dataset: Dataset) -> None:
     statuses(dataset, fuse)
     record = json.loads((dataset.root / "provenance" / "reconstruction" / "a.json").read_text())
     assert record["key"] == read_manifest(dataset.path(Reconstruction, "a")).key
     assert {"user", "host", "time", "seconds", "process_peak_bytes", "bask_data"} <= record.keys()
 
 
-def test_logs_lie_outside_the_artifact_by_kind_and_variant(dataset: Dataset) -> None:
+def test_logs_are_stored_outside_the_artifact_by_kind_and_variant(dataset: Dataset) -> None:
     for made in (fuse, pick):
         statuses(dataset, made)
     assert one(dataset, learn, variant="small").status == "made"
     assert [file.name for file in (dataset.root / "runs" / "descriptor" / "small").iterdir()] == ["process0"]
 
 
-def test_of_several_processes_the_first_publishes_and_the_others_take_part(
+def test_first_of_several_processes_publishes_and_the_others_take_part(
     dataset: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for made in (fuse, pick):
@@ -255,7 +255,7 @@ def test_of_several_processes_the_first_publishes_and_the_others_take_part(
     assert (logs / "process1").exists()
 
 
-def test_open_with_plain_zarr(dataset: Dataset) -> None:
+def test_artifacts_open_with_plain_zarr(dataset: Dataset) -> None:
     import zarr
 
     statuses(dataset, fuse)
@@ -266,7 +266,7 @@ def test_open_with_plain_zarr(dataset: Dataset) -> None:
     assert group["reconstruction/b"].attrs["bask"]["kind"] == "reconstruction"
 
 
-def test_fault_that_no_stage_foresaw_fails_its_own_item_and_is_named(
+def test_unexpected_exception_fails_only_its_item_and_is_reported(
     dataset: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write = Reconstruction.write
@@ -288,7 +288,7 @@ def test_section_for_a_name_that_does_not_exist_is_refused(dataset: Dataset) -> 
         plan(dataset, fuse, config={"fuse@c": {"voxel_size": 1.0}})
 
 
-def test_waiting_for_another_process_that_makes_the_same_ends_with_its_result(dataset: Dataset) -> None:
+def test_waiting_for_another_process_ends_with_its_artifact(dataset: Dataset) -> None:
     for stage in (fuse, pick):
         statuses(dataset, stage)
     [task] = plan(dataset, learn)
@@ -307,20 +307,20 @@ def test_waiting_for_another_process_that_makes_the_same_ends_with_its_result(da
     assert dataset.path(DescriptorNet).stat().st_ino == inode
 
 
-def test_inputs_that_the_parameters_do_without_need_not_exist_and_are_no_part_of_the_key(dataset: Dataset) -> None:
+def test_inputs_not_needed_need_not_exist_and_are_not_in_the_key(dataset: Dataset) -> None:
     chosen = {"scans": ("b", "z"), "described": False}
     assert statuses(dataset, label) == ["blocked"]
     assert statuses(dataset, label, options=chosen) == ["made"]
-    found = ReferenceKeypoints(dataset.path(ReferenceKeypoints))
-    assert (found.names, found.descriptors.tolist()) == (["b"], [[0.0]])
-    assert list(found.manifest.inputs) == ["scan/b"]
+    reference = ReferenceKeypoints(dataset.path(ReferenceKeypoints))
+    assert (reference.names, reference.descriptors.tolist()) == (["b"], [[0.0]])
+    assert list(reference.manifest.inputs) == ["scan/b"]
     add_scan(dataset, "a", level=7)
     assert statuses(dataset, label, options=chosen) == ["up to date"]
     add_scan(dataset, "b", level=7)
     assert statuses(dataset, label, options=chosen) == ["made"]
 
 
-def test_a_dataset_without_what_all_is_read_of_is_blocked_but_not_where_none_is_wanted(tmp_path: Path) -> None:
+def test_dataset_without_items_blocks_unless_none_is_needed(tmp_path: Path) -> None:
     empty = Dataset.create(tmp_path / "empty")
     [task] = plan(empty, label, options={"described": False})
     state = state_of(task)

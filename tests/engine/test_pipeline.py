@@ -36,10 +36,10 @@ def test_everything_is_made_in_order_with_its_position(dataset: Dataset) -> None
     ]
     assert [outcome.position for outcome in outcomes] == begun
     assert begun[3] == Position("pick", "main", 2, 3, "b", 2, 2)
-    assert [there.state.status for there in status(dataset, STAGES)] == ["up to date"] * 5
+    assert [standing.state.status for standing in status(dataset, STAGES)] == ["up to date"] * 5
 
 
-def test_on_an_executor_a_stage_is_told_when_it_begins(dataset: Dataset) -> None:
+def test_on_an_executor_the_beginning_of_a_stage_is_reported(dataset: Dataset) -> None:
     begun: list[Position] = []
     with ThreadPoolExecutor(2) as pool:
         outcomes = list(run_pipeline(dataset, STAGES, executor=pool, begin=begun.append))
@@ -53,7 +53,7 @@ def test_a_bad_parameter_of_a_late_stage_is_refused_before_anything_is_made(data
     assert not (dataset.root / "reconstruction").exists()
 
 
-def test_a_dry_run_foretells_what_comes_after_what(dataset: Dataset) -> None:
+def test_dry_run_names_the_inputs_made_before(dataset: Dataset) -> None:
     outcomes = list(run_pipeline(dataset, STAGES, dry_run=True))
     assert [outcome.status for outcome in outcomes] == ["would make"] * 5
     assert outcomes[2].why == "after reconstruction/a"
@@ -61,7 +61,7 @@ def test_a_dry_run_foretells_what_comes_after_what(dataset: Dataset) -> None:
     assert not (dataset.root / "reconstruction").exists()
 
 
-def test_chosen_scenes_and_stages_alone_are_made(dataset: Dataset) -> None:
+def test_only_requested_scenes_and_stages_are_made(dataset: Dataset) -> None:
     outcomes = run_pipeline(dataset, STAGES, RunRequest(stages=("fuse", "pick"), only=("b",)))
     assert [outcome.label for outcome in outcomes] == ["fuse b", "pick b"]
 
@@ -71,10 +71,10 @@ def test_chosen_scenes_and_stages_alone_are_made(dataset: Dataset) -> None:
     [
         (RunRequest(stages=("fusing",)), "stages: expected some of fuse, pick, learn, got fusing"),
         (RunRequest(only=("c",)), "--only: expected one of a, b, got c"),
-        (RunRequest(options={"voxel_size": 1}), "options: expected one stage whose they are, got all"),
+        (RunRequest(options={"voxel_size": 1}), "options: expected exactly one stage with options, got all"),
     ],
 )
-def test_what_does_not_exist_is_refused(dataset: Dataset, request_: RunRequest, message: str) -> None:
+def test_unknown_names_in_a_request_are_refused(dataset: Dataset, request_: RunRequest, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         run_pipeline(dataset, STAGES, request_)
 
@@ -89,17 +89,18 @@ def test_a_dataset_without_recordings_is_refused(tmp_path: Path) -> None:
 
 def test_status_says_what_is_missing_blocked_and_stale(dataset: Dataset) -> None:
     list(run(plan(dataset, fuse, only=["a"])))
-    found = {
-        there.label: there.state for there in status(dataset, STAGES, RunRequest(given={"fuse@a": {"ignored": 1}}))
+    states = {
+        standing.label: standing.state
+        for standing in status(dataset, STAGES, RunRequest(given={"fuse@a": {"ignored": 1}}))
     }
-    assert (found["fuse a"].status, found["fuse a"].why) == ("stale", "changed: ignored 0 -> 1")
-    assert found["fuse b"].status == "missing"
-    blocked = found["pick b"].blocked
+    assert (states["fuse a"].status, states["fuse a"].why) == ("stale", "changed: ignored 0 -> 1")
+    assert states["fuse b"].status == "missing"
+    blocked = states["pick b"].blocked
     assert blocked is not None
     assert (blocked.kind, blocked.paths) == ("input missing", (dataset.path(Reconstruction, "b"),))
 
 
-def test_a_snapshot_keeps_what_it_saw_and_what_makes_artifacts_does_not_ask_it(dataset: Dataset) -> None:
+def test_snapshot_keeps_its_first_reading_and_makers_do_not_use_it(dataset: Dataset) -> None:
     seen = Snapshot()
     [task, _] = plan(dataset, fuse)
     assert state_of(task, seen).status == "missing"
@@ -115,16 +116,16 @@ def test_each_manifest_is_read_once_by_a_snapshot(dataset: Dataset, monkeypatch:
     list(run_pipeline(dataset, STAGES))
     read, paths = snapshot.read_manifest, list[Path]()
     monkeypatch.setattr(snapshot, "read_manifest", lambda path: (paths.append(path), read(path))[1])
-    assert {there.state.status for there in status(dataset, STAGES)} == {"up to date"}
+    assert {standing.state.status for standing in status(dataset, STAGES)} == {"up to date"}
     assert len(paths) == len(set(paths)) == 7
 
 
-def test_a_broken_manifest_is_told_of_its_own_artifact_and_of_what_reads_it(dataset: Dataset) -> None:
+def test_damaged_manifest_blocks_its_artifact_and_what_reads_it(dataset: Dataset) -> None:
     list(run_pipeline(dataset, STAGES))
     (dataset.path(Reconstruction, "a") / "artifact.json").write_text(json.dumps({"kind": "reconstruction"}))
-    found = {there.label: there.state for there in status(dataset, STAGES)}
-    assert (found["fuse a"].status, found["fuse a"].why) == ("stale", "its manifest is missing or broken")
-    blocked = found["pick a"].blocked
+    states = {standing.label: standing.state for standing in status(dataset, STAGES)}
+    assert (states["fuse a"].status, states["fuse a"].why) == ("stale", "its manifest is missing or damaged")
+    blocked = states["pick a"].blocked
     assert blocked is not None
     assert blocked.kind == "input broken"
-    assert found["pick b"].status == "up to date"
+    assert states["pick b"].status == "up to date"

@@ -37,7 +37,9 @@ def stale(dataset: Dataset) -> list[str]:
     """Labels of what is not up to date for somebody who opens the dataset and gives no parameters."""
     request = RunRequest(stages=("fuse",))
     return [
-        there.label for there in status(Dataset(dataset.root), STAGES, request) if there.state.status != "up to date"
+        standing.label
+        for standing in status(Dataset(dataset.root), STAGES, request)
+        if standing.state.status != "up to date"
     ]
 
 
@@ -45,14 +47,14 @@ def parameters(dataset: Dataset) -> Config:
     return read_requested(dataset.root, STAGES).parameters
 
 
-def test_what_was_made_with_options_is_up_to_date_for_who_gives_none(dataset: Dataset) -> None:
+def test_artifacts_made_with_options_are_up_to_date_without_them(dataset: Dataset) -> None:
     assert made(dataset, options={"voxel_size": 0.2}) == ["made", "made"]
     assert parameters(dataset) == {"fuse": {"voxel_size": 0.2}}
     assert stale(dataset) == []
     assert made(dataset) == ["up to date", "up to date"]
 
 
-def test_a_scene_added_later_is_made_as_the_others_were(dataset: Dataset) -> None:
+def test_scene_added_later_is_made_with_the_same_parameters(dataset: Dataset) -> None:
     made(dataset, options={"voxel_size": 0.2})
     add_scan(dataset, "c")
     assert made(dataset) == ["up to date", "up to date", "made"]
@@ -69,7 +71,7 @@ def test_options_for_some_scenes_are_recorded_for_these(dataset: Dataset) -> Non
     assert stale(dataset) == []
 
 
-def test_a_configuration_replaces_what_is_recorded_and_set_adds_to_it(dataset: Dataset) -> None:
+def test_config_replaces_the_record_and_set_adds_to_it(dataset: Dataset) -> None:
     made(dataset, options={"voxel_size": 0.2})
     made(dataset, given={"fuse": {"ignored": 1}})
     assert parameters(dataset) == {"fuse": {"voxel_size": 0.2, "ignored": 1}}
@@ -78,14 +80,14 @@ def test_a_configuration_replaces_what_is_recorded_and_set_adds_to_it(dataset: D
     assert stale(dataset) == []
 
 
-def test_a_configuration_for_one_scene_leaves_what_is_recorded_of_the_others(dataset: Dataset) -> None:
+def test_config_for_one_scene_keeps_the_record_of_the_others(dataset: Dataset) -> None:
     made(dataset, options={"voxel_size": 0.2})
     made(dataset, only=("a",), given={"fuse": {"ignored": 1}}, replaces=True)
     assert Reconstruction(dataset.path(Reconstruction, "a")).manifest.params["voxel_size"] == 0.1
     assert stale(dataset) == []
 
 
-def test_defaults_forget_what_is_recorded(dataset: Dataset) -> None:
+def test_defaults_drop_the_record(dataset: Dataset) -> None:
     made(dataset, options={"voxel_size": 0.2})
     assert made(dataset, replaces=True) == ["made", "made"]
     assert parameters(dataset) == {}
@@ -124,18 +126,18 @@ def test_options_of_a_variant_are_its_own(dataset: Dataset) -> None:
     assert [outcome.status for outcome in run_pipeline(dataset, stages, request)] == ["made"]
     assert read_requested(dataset.root, stages).parameters == {"label@few": options}
     assert list(dataset.variants(label.makes)) == ["main", "few"]
-    found = {there.variant: there.state.status for there in status(dataset, stages, RunRequest(stages=("label",)))}
-    assert found == {"main": "blocked", "few": "up to date"}
+    states = {
+        standing.variant: standing.state.status for standing in status(dataset, stages, RunRequest(stages=("label",)))
+    }
+    assert states == {"main": "blocked", "few": "up to date"}
 
 
-def test_a_file_that_is_not_on_this_machine_is_compared_by_what_is_recorded_of_it(
-    dataset: Dataset, tmp_path: Path
-) -> None:
+def test_file_missing_on_this_machine_is_compared_by_its_recorded_digest(dataset: Dataset, tmp_path: Path) -> None:
     file = tmp_path / "weights"
     file.write_text("one")
     made(dataset, options={"file": str(file)})
     file.rename(tmp_path / "elsewhere")
-    [state, _] = [there.state for there in status(dataset, STAGES, RunRequest(stages=("fuse",)))]
+    [state, _] = [standing.state for standing in status(dataset, STAGES, RunRequest(stages=("fuse",)))]
     assert (state.status, state.why) == (
         "up to date",
         f"{file} is missing; compared with its recorded SHA-256",
@@ -148,10 +150,10 @@ def test_a_file_that_is_not_on_this_machine_is_compared_by_what_is_recorded_of_i
     assert stale(dataset) == ["fuse a", "fuse b"]
 
 
-def test_a_file_of_which_nothing_is_recorded_leaves_status_unable_to_tell(dataset: Dataset, tmp_path: Path) -> None:
+def test_missing_file_without_a_record_leaves_the_state_unknown(dataset: Dataset, tmp_path: Path) -> None:
     made(dataset)
     request = RunRequest(stages=("fuse",), options={"file": str(tmp_path / "none")})
-    [state, _] = [there.state for there in status(dataset, STAGES, request)]
+    [state, _] = [standing.state for standing in status(dataset, STAGES, request)]
     assert state.status == "blocked"
     assert "unknown whether it is up to date: fuse: file: expected a file, got" in state.why
     assert state.blocked is not None
@@ -173,7 +175,7 @@ def test_a_file_of_which_nothing_is_recorded_leaves_status_unable_to_tell(datase
         ('{"more": 1}', "more: expected no field of that name"),
     ],
 )
-def test_a_file_that_says_what_it_may_not_is_refused(dataset: Dataset, text: str, message: str) -> None:
+def test_record_with_invalid_content_is_refused(dataset: Dataset, text: str, message: str) -> None:
     (dataset.root / REQUESTED).write_text(text)
     with pytest.raises(BadData, match=message) as caught:
         read_requested(dataset.root, STAGES)
@@ -190,7 +192,7 @@ def test_a_file_that_says_what_it_may_not_is_refused(dataset: Dataset, text: str
         ({"voxel": 1}, "parameters.fuse.voxel: expected no field of that name, got 1"),
     ],
 )
-def test_a_recorded_parameter_that_cannot_be_is_refused_with_its_place(
+def test_invalid_recorded_parameter_is_refused_with_its_place(
     dataset: Dataset, values: dict[str, object], message: str
 ) -> None:
     (dataset.root / REQUESTED).write_text(json.dumps({"parameters": {"fuse": values}}))
@@ -219,7 +221,7 @@ def resolved(config: Config, variant: str, item: str) -> dict[str, int]:
 
 
 @given(configs, configs)
-def test_what_lies_above_counts_for_every_artifact_and_what_lies_below_elsewhere(below: Config, above: Config) -> None:
+def test_upper_layer_overrides_the_lower_one_for_every_artifact(below: Config, above: Config) -> None:
     laid = laid_over(below, above, "s", VARIANTS)
     for variant, item in product(VARIANTS, ITEMS):
         assert resolved(laid, variant, item) == resolved(below, variant, item) | resolved(above, variant, item)
@@ -230,10 +232,10 @@ def test_what_lies_above_counts_for_every_artifact_and_what_lies_below_elsewhere
     st.none() | st.lists(st.sampled_from(VARIANTS), unique=True, min_size=1),
     st.none() | st.lists(st.sampled_from(ITEMS), unique=True, min_size=1),
 )
-def test_sections_within_a_scope_say_the_same_in_it_and_nothing_outside(
+def test_sections_within_a_scope_are_equal_inside_and_empty_outside(
     config: Config, variants: list[str] | None, items: list[str] | None
 ) -> None:
-    found = within(config, "s", variants, items, VARIANTS)
+    narrowed = within(config, "s", variants, items, VARIANTS)
     for variant, item in product(VARIANTS, ITEMS):
         inside = (variants is None or variant in variants) and (items is None or item in items)
-        assert resolved(found, variant, item) == (resolved(config, variant, item) if inside else {})
+        assert resolved(narrowed, variant, item) == (resolved(config, variant, item) if inside else {})
