@@ -1,6 +1,6 @@
-"""How good the artifacts of a dataset are, held against its truth: what `bask-data evaluate` prints.
+"""Evaluation of a dataset's artifacts against ground truth: the figures that `bask-data evaluate` prints.
 
-Only evaluation reads truth; no stage that makes data does.
+Only evaluation reads ground truth; no stage that makes data does.
 """
 
 from __future__ import annotations

@@ -15,11 +15,11 @@ from bask_data.kinds import Camera, Correspondences, ObjectInstances, Reconstruc
 from bask_data.kinds.truth import ROBOT
 
 SHARED_IOU = 0.05
-"""Below this, an instance only touches a label; two labels it covers better than this were not told apart."""
+"""IoU from which an instance covers a label; an instance that covers two labels has merged their objects."""
 MOST_MEASURED = 300
-"""Frames of a camera in which masks are counted and held against labels; of more, so many spread evenly."""
+"""Frames of a camera in which masks are counted and compared with labels, at most, evenly spaced."""
 N_SAMPLED = 8
-"""Frames looked at for figures that need no more than an impression."""
+"""Frames of a camera that are sampled for rough figures."""
 
 
 def recording_figures(recording: Recording | None) -> dict[str, Any]:
@@ -50,7 +50,7 @@ def _camera_figures(camera: Camera) -> dict[str, Any]:
 
 
 def reconstruction_figures(reconstruction: Reconstruction | None) -> dict[str, Any]:
-    """Size of the mesh, what the fusion says of its quality, and the frames that stand out."""
+    """Size of the mesh, quality of the fusion, and suspect frames."""
     if reconstruction is None:
         return {}
     metadata, frames = reconstruction.metadata, reconstruction.frames
@@ -69,7 +69,7 @@ def reconstruction_figures(reconstruction: Reconstruction | None) -> dict[str, A
 
 
 def objects_figures(objects: ObjectInstances | None) -> dict[str, Any]:
-    """The table of instances, the planes taken for background, and objects that nearly touch."""
+    """The table of instances, the planes treated as background, and objects that nearly touch."""
     if objects is None:
         return {}
     return {
@@ -83,14 +83,14 @@ def objects_figures(objects: ObjectInstances | None) -> dict[str, Any]:
 
 
 def masks_figures(masks: VisibleMasks | None, truth: Truth | None) -> dict[str, Any]:
-    """How visible each instance is, and, with labels, each one's IoU with its best instance over all frames.
+    """Visible share of each instance and, with labels, each label's IoU with its best instance over all frames.
 
-    Labels of bodies that touch count as one, and the robot's as background: no mask may lie on it.
+    Labels of touching objects count as one, and the robot's as background, which no mask should cover.
     """
     if masks is None:
         return {}
     cameras = [masks.camera(name) for name in masks.camera_names]
-    visible, certain = ([getattr(one, f"{what}_fraction") for one in cameras] for what in ("visible", "measured"))
+    visible, certain = ([getattr(camera, f"{what}_fraction") for camera in cameras] for what in ("visible", "measured"))
     counts = count_masks(masks, truth, lambda n: spread_frames(n, MOST_MEASURED))
     none, n_labelled = np.zeros((0, 0)), counts.n_labelled_pixels
     return {
@@ -147,7 +147,7 @@ def _label_matches(table: np.ndarray, truth: Truth) -> list[dict[str, Any]]:
 
 
 def matches_figures(correspondences: Correspondences | None) -> dict[str, Any]:
-    """How many matches, between how different views, and why candidates were rejected."""
+    """Numbers of matches, differences between the views of pairs, and reasons for rejection."""
     if correspondences is None:
         return {}
     pairs, matches = correspondences.pairs(), correspondences.matches()
@@ -175,11 +175,11 @@ def matches_figures(correspondences: Correspondences | None) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class ViewChanges:
-    """By pair with matches, how the second image shows the matched surface, against the first.
+    """How the matched surface changes from the first image to the second, by pair with matches.
 
     Args:
-        scale: larger by this factor.
-        rotation: turned in the image by this angle, radians.
+        scale: factor of enlargement.
+        rotation: rotation in the image, radians.
     """
 
     scale: np.ndarray
@@ -187,7 +187,7 @@ class ViewChanges:
 
 
 def view_changes(matches: Any) -> ViewChanges:
-    """The similarity that fits the matches of each pair best, in the sense of least squares."""
+    """The least-squares similarity between the matched pixels of each pair."""
     _, pair = np.unique(matches["pair"].to_numpy(), return_inverse=True)
     a, b = (matches[f"u_{x}"].to_numpy() + 1j * matches[f"v_{x}"].to_numpy().astype(np.float64) for x in "ab")
 
@@ -197,7 +197,7 @@ def view_changes(matches: Any) -> ViewChanges:
     n = np.bincount(pair)
     a, b = (z - (total(z) / np.maximum(n, 1))[pair] for z in (a, b))
     spread = total(np.abs(a) ** 2 + 0j).real
-    # A pair of matches in one place says nothing of scale or rotation.
+    # Matches at one point determine neither scale nor rotation.
     known = (n >= 2) & (spread > n)
     factor = total(a.conj() * b)[known] / spread[known]
     return ViewChanges(np.abs(factor), np.angle(factor))
@@ -206,10 +206,10 @@ def view_changes(matches: Any) -> ViewChanges:
 def _rejections(correspondences: Correspondences) -> dict[int, dict[str, int]]:
     """Rejected pixels by object and reason."""
     table = correspondences.rejections().group_by(["instance", "reason"]).aggregate([("n", "sum")])
-    found: dict[int, dict[str, int]] = {}
+    counts: dict[int, dict[str, int]] = {}
     for row in sorted(table.to_pylist(), key=lambda row: (row["instance"], row["reason"])):
-        found.setdefault(int(row["instance"]), {})[str(row["reason"])] = int(row["n_sum"])
-    return found
+        counts.setdefault(int(row["instance"]), {})[str(row["reason"])] = int(row["n_sum"])
+    return counts
 
 
 def _instance(row: dict[str, int]) -> int:

@@ -1,4 +1,4 @@
-"""Matches against exact depth and cameras."""
+"""Matches compared with exact depth and cameras."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ if TYPE_CHECKING:
     import numpy as np
 
 N_FRAMES_KEPT = 64
-"""Frames of truth kept in memory; pairs come sorted by their first frame."""
+"""Frames of ground truth kept in memory; pairs are sorted by their first frame."""
 
 
 @dataclass(frozen=True)
 class MatchScore:
-    """The matches of one scene against the exact depth and cameras.
+    """The matches of one scene compared with exact depth and cameras.
 
     Args:
-        error_px: of each match.
-        n_hidden: matches whose point the second view cannot see.
+        error_px: (n,) of each match.
+        n_hidden: matches whose point is occluded in the second view.
     """
 
     error_px: np.ndarray
     n_hidden: int
 
     def figures(self) -> dict[str, float | None]:
-        """What is told of them."""
+        """Figures as plain JSON values; None without matches."""
         import numpy as np
 
         n = len(self.error_px)
@@ -47,10 +47,10 @@ class MatchScore:
 
 
 def matches_of(dataset: Dataset, scene: str) -> MatchScore:
-    """Hold a scene's matches against its truth.
+    """Compare a scene's matches with ground truth.
 
     Raises:
-        BadData: the truth has no exact depth.
+        BadData: the ground truth has no exact depth.
     """
     import numpy as np
 
@@ -82,9 +82,9 @@ def matches_of(dataset: Dataset, scene: str) -> MatchScore:
 
 
 def evaluated_correspondences(dataset: Dataset, only: Sequence[str] = ()) -> dict[str, Any]:
-    """Scores of every scene that has matches and truth, and over all of them, as plain JSON values.
+    """Scores of each scene with matches and ground truth, and over all of them, as plain JSON values.
 
-    `within_1px` and `within_2px` are shares of the matches, `hidden` is a number of them.
+    `within_1px` and `within_2px` are shares of the matches, `hidden` is their number.
     """
     import numpy as np
 

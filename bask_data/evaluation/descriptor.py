@@ -1,4 +1,4 @@
-"""How well descriptor networks find in held-out views what they saw in others."""
+"""Evaluation of descriptor networks on matches between held-out views."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
     from bask_data.nn.network import DescriptorNetwork
 
 PAIRS_SWEPT = 8
-"""One of so many pairs is zoomed and turned: each costs the network several further images."""
+"""One pair in this many is zoomed and turned, because each needs several more images through the network."""
 
 
 @dataclass(frozen=True)
 class DescriptorSettings:
-    """On what networks are measured, and how.
+    """What networks are measured on, and how.
 
     Args:
         scenes: to measure on; by default what none of the networks was trained on.
-        pairs: of frames, of each scene, at most.
-        sweep: zoom and turn some of the views, too: `by_zoom` and `by_turn`.
-        keypoints: number of those that are picked in a view trained on and looked for in others; 0 is none.
+        pairs: pairs of frames per scene, at most.
+        sweep: also zoom and turn some of the views: `by_zoom` and `by_turn`.
+        keypoints: number of keypoints picked in a training view and looked for in others; 0 for none.
         alpha: temperature of the heat maps whose calibration is measured.
-        seed: of the pairs and of the pixels looked for.
-        one_may_be_learned: where frames are held out, but no matches join two of them, measure on pairs of which one
-            frame was trained on, rather than not at all.
+        seed: for drawing pairs and query pixels.
+        one_may_be_learned: if no matches join two held-out frames, measure on pairs with one training frame rather than
+            not at all.
     """
 
     scenes: Sequence[str] = ()
@@ -60,15 +60,14 @@ def evaluated_descriptor(
 ) -> dict[str, Any]:
     """Figures of each variant on the same matches, as plain JSON values.
 
-    `all` is of pairs of frames that were drawn blindly, and so are `curves` and `calibration`. What is told apart,
-    `by_scale` and so on, is of these and of as many more that were chosen to fill the emptiest bins; so are the curves
-    of `curves_by`, at the thresholds of `curves`.
+    `all`, `curves` and `calibration` are for random pairs of frames. `by_scale` and the other breakdowns, and their
+    curves `curves_by` at the thresholds of `curves`, add as many pairs chosen to fill the emptiest bins.
 
     Args:
-        against: by name, datasets with the same objects, or others of these names, to look for the keypoints in.
+        against: by name, datasets to look for the keypoints in, with the same objects or others of the same names.
 
     Raises:
-        UsageError: a scene or a variant is not there, nothing can be matched, or `alpha` is no temperature.
+        UsageError: a scene or variant does not exist, nothing can be matched, or `alpha` is negative or infinite.
         BadData: a network does not load.
     """
     settings = settings or DescriptorSettings()
@@ -82,17 +81,20 @@ def evaluated_descriptor(
         measured = _measured(dataset, networks, aside, settings)
     if not measured.n_pairs:
         raise UsageError(dataset.root, expected="frames that see the same objects", got=f"none in {aside.words}")
-    found = {name: _told(scored) | _told_conditions(measured.turned[name]) for name, scored in measured.scores.items()}
+    figures = {
+        name: _variant_figures(scored) | _sweep_figures(measured.turned[name])
+        for name, scored in measured.scores.items()
+    }
     if settings.keypoints:
         table = keypoint_table(dataset, networks, aside, against or {}, settings.keypoints, settings.seed)
-        found = {name: told | {"keypoints": table[name]} for name, told in found.items()}
+        figures = {name: of_variant | {"keypoints": table[name]} for name, of_variant in figures.items()}
     return {
         "measured_on": aside.words,
         "matches_by": measured.sources,
         "alpha": settings.alpha,
         "radius_share": RADIUS,
         "n_pairs": measured.n_pairs,
-        "variants": found,
+        "variants": figures,
     }
 
 
@@ -102,7 +104,7 @@ def _network(dataset: Dataset, variant: str) -> DescriptorNetwork:
 
 @dataclass(frozen=True)
 class Scored:
-    """What a network found of one pair's matches, with the names of their objects."""
+    """One pair's matches with a network's records of them, and the names of their objects."""
 
     matches: PairMatches
     objects: tuple[str, ...]
@@ -111,12 +113,12 @@ class Scored:
 
 @dataclass
 class _Measured:
-    """What networks found of the same pairs.
+    """Records of several networks on the same pairs.
 
     Attributes:
-        sources: what a scene's matches are known by.
-        scores: by network, of each pair.
-        turned: by network, under each condition of the sweep.
+        sources: by scene, what its matches are known from.
+        scores: by network, for each pair.
+        turned: by network, for each condition of the sweep.
     """
 
     sources: dict[str, str]
@@ -147,86 +149,87 @@ def _measured(
 def _scored(
     network: DescriptorNetwork, frames: Frames, matches: Sequence[PairMatches], alpha: float, name: str
 ) -> Iterator[Scored]:
-    """Look for the matches of a scene's pairs; frames are described once each, at the network's stride."""
+    """Look for the matches of a scene's pairs; each frame is described once, at the network's stride."""
     cells = Cells(network, frames)
     for pair in progress(matches, f"looking for matches of {frames.scene} with {name}"):
         objects = tuple(frames.objects[int(label)] for label in pair.label)
         yield Scored(pair, objects, found_matches(network, cells, frames, pair, alpha))
 
 
-# Telling --------------------------------------------------------------------------------------------------------------
+# Figures --------------------------------------------------------------------------------------------------------------
 
 
-def _told(scored: Sequence[Scored]) -> dict[str, Any]:
-    """Figures of one variant, over all that was drawn blindly and by whatever matches are told apart by."""
+def _variant_figures(scored: Sequence[Scored]) -> dict[str, Any]:
+    """Figures of one variant over the random pairs, and by group of matches."""
     import numpy as np
 
     from bask_data.core.descriptor_scores import LIMITS, Records, cumulative, figures
 
-    everything = Records.joined([one.records for one in scored])
-    random = np.repeat([one.matches.is_random for one in scored], [len(one.records) for one in scored])
-    blind = everything.chosen(random)
-    told: dict[str, Any] = {"all": figures(blind), "curves": {}, "curves_by": {}}
+    everything = Records.joined([pair.records for pair in scored])
+    is_random = np.repeat([pair.matches.is_random for pair in scored], [len(pair.records) for pair in scored])
+    random = everything.chosen(is_random)
+    result: dict[str, Any] = {"all": figures(random), "curves": {}, "curves_by": {}}
     for name, limit in LIMITS.items():
-        thresholds, below = cumulative(getattr(blind, name), limit)
-        told["curves"][name] = {"threshold": thresholds.tolist(), "share": _plain(below)}
+        thresholds, below = cumulative(getattr(random, name), limit)
+        result["curves"][name] = {"threshold": thresholds.tolist(), "share": _plain(below)}
     for what, rows in _groups(scored).items():
-        told[f"by_{what}"] = {name: figures(everything.chosen(mine)) for name, mine in rows.items()}
-        told["curves_by"][what] = {
+        result[f"by_{what}"] = {name: figures(everything.chosen(members)) for name, members in rows.items()}
+        result["curves_by"][what] = {
             name: {
-                metric: _plain(cumulative(getattr(everything, metric)[mine], limit)[1].round(4))
+                metric: _plain(cumulative(getattr(everything, metric)[members], limit)[1].round(4))
                 for metric, limit in LIMITS.items()
             }
-            for name, mine in rows.items()
+            for name, members in rows.items()
         }
-    told["calibration"] = _calibration(blind)
-    return told
+    result["calibration"] = _calibration(random)
+    return result
 
 
 def _groups(scored: Sequence[Scored]) -> dict[str, dict[str, np.ndarray]]:
-    """By what matches are told apart by and by name, which they are (n,) bool."""
+    """The members (n,) bool of each group of matches, by kind of group and by name."""
     import numpy as np
 
-    n_matches = [len(one.records) for one in scored]
-    labels = {"object": np.array([name for one in scored for name in one.objects])}
-    labels["scene"] = np.repeat([one.matches.scene for one in scored], n_matches)
+    n_matches = [len(pair.records) for pair in scored]
+    labels = {"object": np.array([name for pair in scored for name in pair.objects])}
+    labels["scene"] = np.repeat([pair.matches.scene for pair in scored], n_matches)
     groups = {}
     for what, names in BINS.items():
-        i_bin = np.concatenate([one.matches.bins()[what] for one in scored])
+        i_bin = np.concatenate([pair.matches.bins()[what] for pair in scored])
         groups[what] = {name: i_bin == i for i, name in enumerate(names)}
     for what, own in labels.items():
         groups[what] = {name: own == name for name in dict.fromkeys(own.tolist())}
     return groups
 
 
-def _told_conditions(turned: Sequence[tuple[str, str, Records]]) -> dict[str, Any]:
-    """Figures by zoom and by turn, if there are any."""
+def _sweep_figures(turned: Sequence[tuple[str, str, Records]]) -> dict[str, Any]:
+    """Figures by zoom and by turn, if these were swept."""
     from bask_data.core.descriptor_scores import Records, figures
 
-    told: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for what, conditions in CONDITIONS.items() if turned else ():
-        told[f"by_{what}"] = {
-            name: figures(Records.joined([one for *key, one in turned if key == [what, name]])) for name in conditions
+        result[f"by_{what}"] = {
+            name: figures(Records.joined([records for *key, records in turned if key == [what, name]]))
+            for name in conditions
         }
-    return told
+    return result
 
 
 def _calibration(records: Records) -> dict[str, Any]:
-    """How true the heat maps are, and at which of some temperatures they would be truest."""
+    """Calibration of the heat maps, and the temperature of `ALPHAS` at which it is best."""
     from bask_data.core.descriptor_scores import reliability
 
-    found, *others = (reliability(one, records.is_near) for one in records.confidence.T)
-    errors = [one.error for one in others]
+    at_alpha, *others = (reliability(confidence, records.is_near) for confidence in records.confidence.T)
+    errors = [calibration.error for calibration in others]
     return {
-        "ece": found.error,
-        "n": found.n.tolist(),
-        "confidence": _plain(found.confidence),
-        "accuracy": _plain(found.accuracy),
+        "ece": at_alpha.error,
+        "n": at_alpha.n.tolist(),
+        "confidence": _plain(at_alpha.confidence),
+        "accuracy": _plain(at_alpha.accuracy),
         "truest_alpha": ALPHAS[errors.index(min(errors))],
         "truest_ece": min(errors),
     }
 
 
 def _plain(values: np.ndarray) -> list[float | None]:
-    """Numbers for JSON, which knows no NaN."""
+    """Values for JSON; NaN becomes None."""
     return [None if value != value else value for value in values.tolist()]

@@ -1,4 +1,4 @@
-"""All figures of a dataset: measured once for a page, in whatever size, and for its summary in plain values."""
+"""All figures of a dataset, measured once for page and summary."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from bask_data.kinds import Correspondences, DescriptorNet, KeypointTrack, Objec
 
 
 def plain(value: Any) -> Any:
-    """The value in JSON's terms: dataclasses as objects, what is not finite as None."""
+    """The value for JSON: dataclasses as objects, numbers that are not finite as None."""
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
     if isinstance(value, dict):
-        return {str(key): plain(one) for key, one in value.items()}
+        return {str(key): plain(part) for key, part in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(one) for one in value]
+        return [plain(part) for part in value]
     if isinstance(value, np.ndarray):
         return plain(value.tolist())
     if isinstance(value, np.generic):
@@ -42,7 +42,7 @@ def plain(value: Any) -> Any:
 
 
 class Measured:
-    """Figures that take a look at many frames: taken once for a page, in whatever size, and for its summary."""
+    """Figures that need many frames, measured once for page and summary."""
 
     def __init__(self, dataset: Dataset) -> None:
         self._dataset = dataset
@@ -51,24 +51,24 @@ class Measured:
         self._descriptors: dict[str, Any] | None = None
 
     def masks(self, scene: str) -> dict[str, Any]:
-        """Of a scene's masks; what cannot be read says why."""
+        """Figures of a scene's masks, or `error` if they cannot be read."""
         if scene not in self._masks:
             try:
-                found = masks_figures(find(self._dataset, VisibleMasks, scene), find_truth(self._dataset, scene))
+                figures = masks_figures(find(self._dataset, VisibleMasks, scene), find_truth(self._dataset, scene))
             except UNREADABLE as error:
-                found = {"error": what_is_wrong(error)}
-            self._masks[scene] = found
+                figures = {"error": what_is_wrong(error)}
+            self._masks[scene] = figures
         return self._masks[scene]
 
     def descriptors(self) -> dict[str, Any]:
-        """What `evaluate descriptor` tells of the first few networks, on few pairs; `errors` says what cannot be read
-        or measured. Empty without any network."""
+        """Figures of `evaluate descriptor` for the first few networks on few pairs, and `errors` by what cannot be read
+        or measured; empty without any network."""
         if self._descriptors is None:
             self._descriptors = descriptors_figures(self._dataset)
         return self._descriptors
 
     def track(self, demonstration: str, variant: str) -> TrackScores:
-        """Of a track that exists."""
+        """Scores of a track that exists."""
         if (demonstration, variant) not in self._tracks:
             self._tracks[demonstration, variant] = TrackScores(self._dataset, demonstration, variant)
         return self._tracks[demonstration, variant]
@@ -100,7 +100,7 @@ def summary(dataset: Dataset, measured: Measured) -> dict[str, Any]:
 
 
 def _studied(dataset: Dataset) -> list[str]:
-    """The sets of objects of the dataset's last study of keypoints; a file that is none the page complains of."""
+    """The sets of objects of the dataset's last study of keypoints; none if unreadable, which the page reports."""
     try:
         return list(read_json(dataset.root / FILE)["groups"]) if (dataset.root / FILE).exists() else []
     except (*UNREADABLE, TypeError):
@@ -108,26 +108,26 @@ def _studied(dataset: Dataset) -> list[str]:
 
 
 def _study_figures(dataset: Dataset, name: str) -> dict[str, Any]:
-    """Of each method: errors, and the distance between mean and mode, by what the cameras see."""
+    """By method: errors, and distances between mean and mode, by visibility."""
     methods = read_json(dataset.root / FILE)["groups"][name]["methods"]
-    return {method: {what: told[what] for what in ("error", "apart")} for method, told in methods.items()}
+    return {method: {what: figures[what] for what in ("error", "apart")} for method, figures in methods.items()}
 
 
 def _each(names: Sequence[str], figures: Any) -> dict[str, Any]:
-    """Figures by name, without those that have none; what cannot be read says why."""
-    found: dict[str, Any] = {}
+    """Figures by name, without empty ones; `error` for what cannot be read."""
+    result: dict[str, Any] = {}
     for name in names:
         try:
             value = figures(name)
         except UNREADABLE as error:
             value = {"error": what_is_wrong(error)}
         if value:
-            found[name] = value
-    return found
+            result[name] = value
+    return result
 
 
 def track_figures(dataset: Dataset, measured: Measured, demonstration: str, variant: str) -> dict[str, Any]:
-    """How certain, how steady and, where the truth is known, how right the keypoints of a demonstration are."""
+    """Spread, motion and, with ground truth, errors of the keypoints of a demonstration."""
     if find(dataset, KeypointTrack, demonstration, variant) is None:
         return {}
     return figures_of_track(measured.track(demonstration, variant))

@@ -1,4 +1,4 @@
-"""Where a descriptor network sees reference points in an image."""
+"""Search for reference keypoints in an image with a descriptor network."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from bask_data.kinds import DescriptorNet, KeypointTrack, Pick, ReferenceKeypoin
 
 @dataclass(frozen=True)
 class Sight:
-    """Where a network sees k points in one frame.
+    """Heat maps and best matches of k keypoints in one frame.
 
     Args:
         heat: (k, h, w) probabilities, at the network's own resolution.
         nearest: (k,) smallest descriptor distance in the frame.
-        best: (k, 2) the pixel that has it, in pixels of the frame.
+        best: (k, 2) the pixel of the frame at that distance.
     """
 
     heat: np.ndarray
@@ -34,17 +34,17 @@ class Sight:
 
 
 class Finder:
-    """A descriptor network that looks for points."""
+    """A descriptor network with the descriptors of keypoints to look for."""
 
     def __init__(self, dataset: Dataset, variant: str, descriptor: DescriptorNet, picks: Sequence[Pick]) -> None:
-        """Describe the points where they were picked.
+        """Describe the keypoints where they were picked.
 
         Raises:
-            BadData: the network does not load, or does not fit the reference keypoints.
+            BadData: the network does not load, or has another dimension than the reference keypoints.
         """
         self._network = descriptor.network()
         self.descriptors = self._described(dataset, variant, descriptor, picks)
-        """(k, d); NaN for points in images that are not here."""
+        """Descriptors (k, d); NaN for picks in frames that are not in the dataset."""
         self.alpha = temperature(dataset, variant, descriptor)
 
     def _described(
@@ -55,7 +55,7 @@ class Finder:
             made_with = input_variant(dataset, kept, DescriptorNet, variant)
             if made_with is not None and made_with.path == descriptor.path:
                 return self._fitting(descriptor, kept.descriptors)
-        found = np.full((len(picks), self._network.settings.descriptor_dim), np.nan, np.float32)
+        descriptors = np.full((len(picks), self._network.settings.descriptor_dim), np.nan, np.float32)
         by_frame: dict[tuple[str, str, int], list[int]] = {}
         for i, pick in enumerate(picks):
             by_frame.setdefault((pick.recording, pick.camera, pick.frame), []).append(i)
@@ -65,8 +65,8 @@ class Finder:
             inside = in_image(uv, *image.shape[:2]) if image is not None else np.zeros(len(uv), bool)
             if image is not None and inside.any():
                 rows = np.array(indices)[inside]
-                found[rows] = self._network.descriptors_at(image, uv[inside]).cpu().numpy()
-        return found
+                descriptors[rows] = self._network.descriptors_at(image, uv[inside]).cpu().numpy()
+        return descriptors
 
     def _fitting(self, descriptor: DescriptorNet, references: np.ndarray) -> np.ndarray:
         dimension = self._network.settings.descriptor_dim
@@ -81,11 +81,11 @@ class Finder:
 
     @property
     def described(self) -> np.ndarray:
-        """(k,) bool: points that can be looked for."""
+        """(k,) bool: keypoints that have a descriptor."""
         return np.isfinite(self.descriptors).all(axis=1)
 
     def look(self, rgb: np.ndarray, chosen: Sequence[int]) -> Sight:
-        """Look for some of the points in an image; those chosen must have been described."""
+        """Look for some of the keypoints, which must be `described`, in an image."""
         distance = self._network.distance_maps(rgb, self.descriptors[list(chosen)])
         k, height, width = distance.shape
         heat, _ = softmax_map(distance, self.alpha)
@@ -107,14 +107,14 @@ def network_of(dataset: Dataset, variant: str) -> DescriptorNet | None:
 
 
 def _tracks(dataset: Dataset, variant: str) -> list[KeypointTrack]:
-    found = [find(dataset, KeypointTrack, name, variant) for name in dataset.items("demonstration")]
-    return [one for one in found if one is not None]
+    tracks = [find(dataset, KeypointTrack, name, variant) for name in dataset.items("demonstration")]
+    return [track for track in tracks if track is not None]
 
 
 def temperature(dataset: Dataset, variant: str, descriptor: DescriptorNet) -> float:
-    """alpha of the heat maps softmax(-alpha z): that of the tracks made of the variant, or else of its training.
+    """alpha of the heat maps softmax(-alpha z): that of the variant's tracks, or else of its training.
 
-    That of a filter which is made for many frames together does not count, unless it was asked for.
+    The default of a filter over many frames does not count, only a value that was set.
     """
     for track in _tracks(dataset, variant):
         params = track.manifest.params
@@ -122,5 +122,5 @@ def temperature(dataset: Dataset, variant: str, descriptor: DescriptorNet) -> fl
         if alpha is not None:
             return alpha
     params = descriptor.manifest.params
-    # Only a network that was trained on heat maps knows one.
+    # Only training on heat maps has a temperature.
     return float(params.get("alpha") or ALPHA) if params.get("loss") == "infonce" else ALPHA

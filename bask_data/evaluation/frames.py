@@ -1,4 +1,4 @@
-"""The frames of a scene as an evaluation reads them: exact where truth knows depth and cameras, else as recorded."""
+"""Frames of a scene for evaluation: exact where ground truth has depth and cameras, else as recorded."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     import numpy as np
 
 N_FRAMES_KEPT = 64
-"""Depth and labels of this many frames stay in memory."""
+"""Frames whose depth and labels stay in memory."""
 
 
 class Frame(NamedTuple):
-    """One image of a scene, by its camera's name and its number."""
+    """A frame of a scene, by its camera's name and its number."""
 
     camera: str
     i: int
@@ -43,16 +43,16 @@ class Frames:
 
     @cached_property
     def cameras(self) -> list[str]:
-        """Cameras that can be measured: those of the truth, where it is known."""
+        """Cameras to measure on: with ground truth, those that it covers."""
         return [name for name in self._cameras if self.truth is None or name in self.truth.camera_names]
 
     def between(self, begin: float, end: float, most: int) -> list[Frame]:
-        """Frames of all cameras between two shares of each one's time, evenly spaced, at most so many."""
+        """At most this many frames of all cameras, evenly spaced between two shares of each camera's frames."""
         import numpy as np
 
         everything = []
         for camera in self.cameras:
-            # Rounded as `train` rounds the share it keeps from training.
+            # Rounded like the share that `train` holds out.
             first, last = (
                 n - round((1.0 - share) * n) for n in [self._cameras[camera].n_frames] for share in (begin, end)
             )
@@ -73,19 +73,19 @@ class Frames:
         return self._cameras[frame.camera].rgb(frame.i)
 
     def _depth(self, frame: Frame) -> np.ndarray:
-        """z-depth (h, w) float32 metres; 0 where nothing is known."""
+        """z-depth (h, w) float32 metres; 0 where it is unknown."""
         if self.truth is not None:
             return self.truth.depth(frame.camera, frame.i)
         return self._cameras[frame.camera].depth(frame.i)
 
     def _labels(self, frame: Frame) -> np.ndarray:
-        """Objects (h, w) uint8: true labels, or else instances of the masks; 0 is no object."""
+        """Labels (h, w) uint8: ground truth, or else instances of the masks; 0 is background."""
         if self.truth is not None:
             return self.truth.instance(frame.camera, frame.i)
         return self.masks.camera(frame.camera).instance(frame.i)
 
     def world_from_camera(self, frame: Frame) -> np.ndarray:
-        """Where the camera is (4, 4)."""
+        """The transform (4, 4) of a frame: ground truth, or else as recorded."""
         return self._world_from_cameras[frame.camera][frame.i]
 
     @cached_property
@@ -96,13 +96,13 @@ class Frames:
 
     @cached_property
     def objects(self) -> dict[int, str]:
-        """Name of each label that is an object. The instances of masks are numbered in each scene for itself."""
+        """Names of objects by label. Instances of masks are numbered per scene."""
         if self.truth is not None:
             return {label: name for label, name in sorted(self.truth.label_names.items()) if label not in (0, ROBOT)}
         return {i: f"{self.scene} {i}" for i in range(1, self.masks.n_instances + 1)}
 
     def points(self, frame: Frame, label: int, n: int) -> np.ndarray:
-        """Up to n points of an object's visible surface, evenly over its pixels (m, 3), metres, world frame."""
+        """Up to n points (m, 3) of an object's visible surface, evenly over its pixels, metres, world frame."""
         import numpy as np
 
         from bask_data.core.geometry import transform, unproject

@@ -1,4 +1,4 @@
-"""What a descriptor network has not seen: the scenes set aside, or else the frames that training kept aside."""
+"""What a descriptor network was not trained on: held-out scenes, or else held-out frames."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from bask_data.kinds import Correspondences, DescriptorNet, Scan, VisibleMasks
 
 @dataclass(frozen=True)
 class HeldOut:
-    """What is measured on.
+    """The scenes and frames to measure on.
 
     Args:
         scenes: by name.
-        share: of each camera's frames, the last, that are looked at.
-        words: what that is, for people.
-        with_learned: pairs may join one of these frames with one that was trained on, as those that `train` validates
-            on may; otherwise both of their frames are held out.
+        share: share of each camera's frames, from the last, to measure on.
+        words: description for people.
+        with_learned: pairs may join one of these frames with a training frame, like those that `train` validates on;
+            otherwise both frames are held out.
     """
 
     scenes: tuple[str, ...]
@@ -31,25 +31,25 @@ class HeldOut:
     with_learned: bool = False
 
     def frames(self, frames: Frames, most: int) -> list[Frame]:
-        """A scene's frames that are looked at, evenly over time, at most so many."""
+        """At most this many of a scene's frames to measure on, evenly spaced."""
         return frames.between(1.0 - self.share, 1.0, most)
 
     def partners(self, frames: Frames, most: int) -> list[Frame]:
-        """A scene's frames that were trained on and may be joined with these, at most so many."""
+        """At most this many of a scene's training frames that may be paired with these."""
         return frames.between(0.0, 1.0 - self.share, most) if self.with_learned else []
 
     def joined_with_learned(self) -> HeldOut:
-        """The same frames, in pairs of which one frame at least is held out."""
+        """The same frames, in pairs with at least one held-out frame."""
         words = f"pairs of a held-out frame and one that was trained on, as no matches join two {self.words}"
         return replace(self, words=words, with_learned=True)
 
 
 def held_out(dataset: Dataset, variants: Sequence[str], scenes: Sequence[str] = ()) -> HeldOut:
-    """What none of the variants was trained on, as far as the dataset says: scenes for the test, or for validation, or
-    else the frames kept from training.
+    """What none of the variants was trained on: the test scenes, else the validation scenes, else the frames held out
+    from training.
 
     Raises:
-        UsageError: a scene or a variant is asked for that is not there, or no scene can be measured.
+        UsageError: a scene or variant does not exist, or no scene can be measured.
     """
     check_variants(dataset, variants)
     splits = dataset.file.splits
@@ -62,25 +62,25 @@ def held_out(dataset: Dataset, variants: Sequence[str], scenes: Sequence[str] = 
     if scenes:
         seen = [name for name in scenes if name in learned]
         of_them = f"trained on: {', '.join(seen)}" if seen else "none of them was trained on"
-        return _there(dataset, HeldOut(tuple(scenes), 1.0, f"scenes asked for: {', '.join(scenes)}; {of_them}"))
+        return _checked(dataset, HeldOut(tuple(scenes), 1.0, f"scenes asked for: {', '.join(scenes)}; {of_them}"))
     for use, names in (("test", splits.test), ("validation", splits.validation)):
         if names:
             _check_unseen(dataset, variants, names)
-            return _there(dataset, HeldOut(names, 1.0, f"held-out scenes ({use}): {', '.join(names)}"))
+            return _checked(dataset, HeldOut(names, 1.0, f"held-out scenes ({use}): {', '.join(names)}"))
     nets = [DescriptorNet(dataset.path(DescriptorNet, variant=name)) for name in variants]
-    # A frame is new to all variants where the one that kept the fewest did not see it.
+    # A frame is unseen by all variants if the one that held out the fewest did not see it.
     share = min(net.metadata.held_out for net in nets)
     if share <= 0:
         words = "frames that were trained on: nothing is held out"
         kept_none = [name for name, net in zip(variants, nets, strict=True) if net.metadata.held_out <= 0]
         words += f" from {', '.join(kept_none)}" if len(kept_none) < len(nets) else ""
-        return _there(dataset, HeldOut(tuple(learned), 1.0, words))
+        return _checked(dataset, HeldOut(tuple(learned), 1.0, words))
     words = f"held-out frames: the last {share:.0%} of each camera's, of scenes that were trained on"
-    return _there(dataset, HeldOut(tuple(learned), share, words))
+    return _checked(dataset, HeldOut(tuple(learned), share, words))
 
 
 def _check_unseen(dataset: Dataset, variants: Sequence[str], scenes: Sequence[str]) -> None:
-    """A split may have changed since a network was trained."""
+    """Raise `UsageError` if a network was trained on a scene: the split may have changed since."""
     for name in variants:
         net = DescriptorNet(dataset.path(DescriptorNet, variant=name))
         seen = [scene for scene in scenes if scene in (net.metadata.learned_from or ())]
@@ -89,8 +89,8 @@ def _check_unseen(dataset: Dataset, variants: Sequence[str], scenes: Sequence[st
                 net.path,
                 ", ".join(seen),
                 expected="scenes that the network was not trained on",
-                got="some that it was: the split has changed since",
-                fix="train it again, or say which scenes you want (--scenes).",
+                got="training scenes: the split has changed since",
+                fix="train the network again, or choose scenes with --scenes.",
             )
 
 
@@ -102,7 +102,7 @@ def learned_scenes(dataset: Dataset) -> list[str]:
 
 
 def check_variants(dataset: Dataset, variants: Sequence[str]) -> None:
-    """Refuse networks that are not there, or are damaged or of another version."""
+    """Raise an error for networks that do not exist, are damaged, or are of another version."""
     known = [
         name
         for name in dataset.variants(DescriptorNet)
@@ -120,8 +120,8 @@ def check_variants(dataset: Dataset, variants: Sequence[str]) -> None:
         DescriptorNet(dataset.path(DescriptorNet, variant=name)).check_complete()
 
 
-def _there(dataset: Dataset, wanted: HeldOut) -> HeldOut:
-    """The same, if all of its scenes have what is read: exact truth, or else masks and matches."""
+def _checked(dataset: Dataset, wanted: HeldOut) -> HeldOut:
+    """`wanted`, if all of its scenes have exact ground truth, or else masks and matches."""
     for name in wanted.scenes:
         exact = Frames(dataset, name).truth is not None
         for kind in (Scan,) if exact else (Scan, VisibleMasks, Correspondences):

@@ -1,8 +1,7 @@
-"""How right keypoints are that networks and filters track through demonstrations whose truth is known.
+"""Accuracy of keypoints that networks and filters track through demonstrations with ground truth.
 
-The study of von Hartz et al. 2023, Sec. IV-A: distance of each keypoint to where it truly is, and between mean and
-mode of what is believed of it, over time, by what the cameras see, for networks beside each other and with the belief
-of single frames and of each filter over time.
+The study of von Hartz et al. 2023, Sec. IV-A: distance of each keypoint to ground truth, and between mean and mode of
+its belief, over time and by visibility, for several networks, with the expectation of single frames and with filters.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from bask_data.artifact import write_text_atomically
 from bask_data.dataset import Dataset
 from bask_data.evaluation.held_out import check_variants
 from bask_data.evaluation.places import known_of
-from bask_data.evaluation.study_figures import told_of
+from bask_data.evaluation.study_figures import group_figures
 from bask_data.evaluation.study_tracks import methods_of, references_of, tracked_in
 from bask_data.evaluation.tracked_points import by_objects, demonstrations_with_truth, points_to_track
 from bask_data.kinds import Demonstration, DescriptorNet, Truth
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from bask_data.nn.network import DescriptorNetwork
 
 FILE = Path("evaluation") / "keypoints.json"
-"""Where a dataset keeps the last study, for its report."""
+"""The file of a dataset's last study, for its report."""
 
 
 @dataclass(frozen=True)
@@ -38,15 +37,15 @@ class StudySettings:
     """What a study of keypoints tracks, and where.
 
     Args:
-        demonstrations: by default all whose truth knows where the objects are.
+        demonstrations: by default all with ground-truth poses of the objects.
         objects: to put keypoints on; by default all of each demonstration.
         cameras: to track with; by default all of each demonstration.
-        reference: variant of the reference keypoints to track; by default points spread over the objects in a scan that
-            networks learn from.
-        pick_in: recordings to put these points in, rather than scans.
+        reference: variant of the reference keypoints to track; by default points spread over the objects in a training
+            scan.
+        pick_in: recordings to pick these points in, rather than training scans.
         n_keypoints: number of these points, shared among the objects; the paper tracks 16.
         filters: preset of the filters' settings.
-        seed: of the points, and of the particle filter.
+        seed: for the points and the particle filter.
     """
 
     demonstrations: Sequence[str] = ()
@@ -62,14 +61,14 @@ class StudySettings:
 def evaluated_keypoints(
     dataset: Dataset, variants: Sequence[str] = ("main",), settings: StudySettings | None = None
 ) -> dict[str, Any]:
-    """The study's figures as plain JSON values: of each set of objects, of each method.
+    """The study's figures as plain JSON values, by set of objects and method.
 
     Args:
-        variants: descriptor networks. All beliefs are studied with the first, that of single frames with the others.
+        variants: descriptor networks; the first is studied with all filters, the others with expectation alone.
 
     Raises:
-        UsageError: something asked for is not there, or there is no truth to compare tracks with.
-        BadData: an artifact does not load, or its parts do not belong together.
+        UsageError: something asked for does not exist, or there is no ground truth to compare tracks with.
+        BadData: an artifact does not load, or its parts are inconsistent.
     """
     settings = settings or StudySettings()
     check_variants(dataset, variants)
@@ -77,7 +76,7 @@ def evaluated_keypoints(
     units = {name: _unit(dataset, name, network) for name, network in networks.items()}
     methods = methods_of(units, settings.filters)
     groups = by_objects(dataset, demonstrations_with_truth(dataset, settings.demonstrations), settings.objects)
-    found: dict[str, Any] = {}
+    figures: dict[str, Any] = {}
     for tracked_objects, names in groups.items():
         picks = points_to_track(
             dataset,
@@ -97,46 +96,51 @@ def evaluated_keypoints(
                 for name in names
             ]
         on = points_on_objects(picks, known_of(dataset, picks)).names
-        found["+".join(tracked_objects)] = told_of(picks, on, tracks, methods)
+        figures["+".join(tracked_objects)] = group_figures(picks, on, tracks, methods)
     return {
         "settings": settings.filters,
         "seed": settings.seed,
         "methods": [
-            {"name": one.name, "variant": one.variant, "belief": one.belief, "settings": plain_settings(one.settings)}
-            for one in methods
+            {
+                "name": method.name,
+                "variant": method.variant,
+                "belief": method.belief,
+                "settings": plain_settings(method.settings),
+            }
+            for method in methods
         ],
         "margins": {name: _margins(dataset, name, unit) for name, unit in units.items()},
         "measured_with": _digests(dataset, variants, [name for names in groups.values() for name in names]),
-        "groups": found,
+        "groups": figures,
     }
 
 
 def plain_settings(settings: FilterSettings) -> dict[str, Any]:
-    """Settings as JSON has them, which knows no infinity: null stands for no limit."""
+    """Settings for JSON; None stands for an infinite limit."""
     return {name: None if value in (math.inf, -math.inf) else value for name, value in asdict(settings).items()}
 
 
-def save_study(dataset: Dataset, found: Mapping[str, Any]) -> Path:
-    """Keep a study where the dataset's report finds it; what was there is replaced in one step."""
+def save_study(dataset: Dataset, result: Mapping[str, Any]) -> Path:
+    """Save a study where the dataset's report finds it, replacing an earlier one in one step."""
     path = dataset.root / FILE
-    write_text_atomically(path, json.dumps(found, allow_nan=False) + "\n")
+    write_text_atomically(path, json.dumps(result, allow_nan=False) + "\n")
     return path
 
 
-def is_current(dataset: Dataset, found: Mapping[str, Any]) -> bool:
-    """Whether what a study was made with is still what the dataset holds."""
-    measured_with: Mapping[str, str] = found["measured_with"]
+def is_current(dataset: Dataset, result: Mapping[str, Any]) -> bool:
+    """Whether the dataset still holds the artifacts that a study was made with."""
+    measured_with: Mapping[str, str] = result["measured_with"]
     return all(_digest(dataset.root / path) == digest for path, digest in measured_with.items())
 
 
 def _unit(dataset: Dataset, variant: str, network: DescriptorNetwork) -> float:
-    """One, but for networks that were trained on distances not divided by sqrt(D)."""
+    """Unit of a network's training distances: 1, or 1 / sqrt(D) if they were not divided by sqrt(D)."""
     params = DescriptorNet(dataset.path(DescriptorNet, variant=variant)).manifest.params
     return 1.0 if params.get("normalised", True) else float(network.settings.descriptor_dim) ** -0.5
 
 
 def _margins(dataset: Dataset, variant: str, unit: float) -> dict[str, float] | None:
-    """Descriptor distances that training pushed non-matches beyond, as filters measure them; None without any."""
+    """Margins of the contrastive loss, as descriptor distances of the filters; None for other losses."""
     params = DescriptorNet(dataset.path(DescriptorNet, variant=variant)).manifest.params
     if params.get("loss") != "contrastive":
         return None

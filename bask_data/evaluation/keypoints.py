@@ -1,7 +1,7 @@
 """Keypoints from one view of a training scene, found in views of other scenes, other instances and other surroundings.
 
-The protocol of von Hartz et al. 2023, Table S.1: random pixels of one observation, and how far from where they truly
-are the network finds them. There the truth is a model of each object; here it is the objects' exact transforms.
+The protocol of von Hartz et al. 2023, Table S.1: random pixels of one observation, and the error of the network's best
+match in others. There, ground truth is a model of each object; here, it is the objects' exact transforms.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 TRAINING, UNSEEN_VIEW = "training", "unseen view"
 MOST_VIEWS = 20
-"""Frames of a scene in which keypoints are looked for, evenly over time."""
+"""Frames of a scene in which keypoints are looked for, at most, evenly spaced."""
 N_SHAPE_POINTS = 2000
 """Points of an object's surface taken from a frame."""
 SAME_EXTENTS = 0.004
-"""Two bodies of a name are one where no side of their boxes is off by more metres. What is not seen of one makes it
-seem smaller, by some millimetres."""
+"""Objects of one name are the same instance if the sides of their boxes differ by at most this, metres: unseen parts
+make an object seem smaller by some millimetres."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,9 @@ class PickedPoints:
     """Points fixed to objects, and where they were picked.
 
     Attributes:
-        objects: name of each one's object (k).
+        objects: name of each point's object (k).
         points_object: (k, 3), metres, frame of that object.
-        shapes: surface of each of these objects (m, 3), metres, in its frame, as the scenes trained on show it.
+        shapes: surface of each of these objects (m, 3), metres, in its frame, as the training scenes show it.
     """
 
     scene: str
@@ -57,7 +57,7 @@ class PickedPoints:
 
 @dataclass(frozen=True)
 class Place:
-    """Where keypoints truly are in a view.
+    """Ground truth of keypoints in a view.
 
     Attributes:
         uv: (k, 2); NaN where the object is not in the scene.
@@ -81,45 +81,48 @@ def keypoint_table(
     n_keypoints: int,
     seed: int,
 ) -> dict[str, dict[str, dict[str, dict[str, float | int | None]]]]:
-    """For each variant, each set of objects that occurs together and each column: figures of the keypoints' errors.
+    """Figures of the keypoints' errors, by variant, set of objects that occur together, and column.
 
-    Columns are the views trained on, those held out of training, and each dataset of `against`, whose truth names the
-    same objects. Empty where truth knows no transforms.
+    Columns are the training views, the held-out views, and each dataset of `against`, whose ground truth names the same
+    objects. Empty without ground-truth transforms.
 
     Raises:
-        UsageError: `against` is given and truth does not know where objects are.
+        UsageError: `against` is given, and there are no ground-truth transforms of objects.
     """
     learned = [scene for scene in learned_scenes(dataset) if knows_places(dataset, scene)]
     unseen = [scene for scene in held_out.scenes if knows_places(dataset, scene)]
     others = {
-        name: [scene for scene in one.items("scene") if knows_places(one, scene)] for name, one in against.items()
+        name: [scene for scene in other.items("scene") if knows_places(other, scene)] for name, other in against.items()
     }
-    for one, scenes in [(dataset, learned), *((against[name], others[name]) for name in others)] if against else []:
+    for source, scenes in [(dataset, learned), *((against[name], others[name]) for name in others)] if against else []:
         if not scenes:
-            raise UsageError(one.root, "--against", expected="scenes whose truth knows transforms", got="none")
+            raise UsageError(source.root, "--against", expected="scenes with ground-truth transforms", got="none")
     table: dict[str, Any] = {name: {} for name in networks}
     for objects, scenes in _sets_of_objects(dataset, learned).items():
-        # Where frames were held out rather than scenes, the training views are what comes before them.
+        # Where frames are held out rather than scenes, the training views are the frames before them.
         end = 1.0 - held_out.share if set(held_out.scenes) <= set(learned) and held_out.share < 1 else 1.0
         keypoints = _picked(dataset, scenes, end, n_keypoints, seed)
         places = {
             TRAINING: _places(keypoints, dataset, scenes, (0.0, end), is_other=False),
             UNSEEN_VIEW: _places(keypoints, dataset, unseen, (1.0 - held_out.share, 1.0), is_other=False),
-            **{name: _places(keypoints, one, others[name], (0.0, 1.0), is_other=True) for name, one in against.items()},
+            **{
+                name: _places(keypoints, other, others[name], (0.0, 1.0), is_other=True)
+                for name, other in against.items()
+            },
         }
         for name, network in networks.items():
             image = described(network, Frames(dataset, keypoints.scene).rgb(keypoints.frame))
             references = descriptors_at(network, image, keypoints.uv)
             table[name]["+".join(objects)] = {
-                column: _errors(network, references, found, f"looking for keypoints with {name}: {column}")
-                for column, found in places.items()
-                if found
+                column: _errors(network, references, views, f"looking for keypoints with {name}: {column}")
+                for column, views in places.items()
+                if views
             }
     return table
 
 
 def knows_places(dataset: Dataset, scene: str) -> bool:
-    """Whether truth knows a scene exactly, the objects' transforms included."""
+    """Whether a scene has exact ground truth, including the objects' transforms."""
     if not all((dataset.path(kind, scene) / MANIFEST).exists() for kind in (Scan, Truth)):
         return False
     truth = Frames(dataset, scene).truth
@@ -128,17 +131,17 @@ def knows_places(dataset: Dataset, scene: str) -> bool:
 
 def _sets_of_objects(dataset: Dataset, scenes: Sequence[str]) -> dict[tuple[str, ...], list[str]]:
     """Scenes by the objects that are in them."""
-    found: dict[tuple[str, ...], list[str]] = {}
+    sets: dict[tuple[str, ...], list[str]] = {}
     for scene in scenes:
-        found.setdefault(tuple(Frames(dataset, scene).objects.values()), []).append(scene)
-    return found
+        sets.setdefault(tuple(Frames(dataset, scene).objects.values()), []).append(scene)
+    return sets
 
 
 def _picked(dataset: Dataset, scenes: Sequence[str], end: float, n: int, seed: int) -> PickedPoints:
-    """Random pixels, as equally many of each object as can be, of the first scene's view that shows most of them.
+    """Random pixels, shared equally among objects, of the first scene's view that shows the most objects.
 
     Args:
-        end: share of each camera's frames, the first, that are taken into account.
+        end: share of each camera's frames, from the first, that are considered.
     """
     import numpy as np
 
@@ -146,7 +149,7 @@ def _picked(dataset: Dataset, scenes: Sequence[str], end: float, n: int, seed: i
     from bask_data.core.local_warp import surface_tangents
 
     rng, frames = np.random.default_rng([seed, 3]), Frames(dataset, scenes[0])
-    frame = max(frames.between(0.0, end, MOST_VIEWS), key=lambda one: _shown(frames, one))
+    frame = max(frames.between(0.0, end, MOST_VIEWS), key=lambda frame: _shown(frames, frame))
     labels, depth, world = frames.labels(frame), frames.depth(frame), frames.world_from_camera(frame)
     uv, label = drawn_pixels(frames, frame, depth > 0, n, rng)
     points = transform(world, surface_tangents(uv, depth, labels, frames.K(frame.camera))[0])
@@ -155,14 +158,14 @@ def _picked(dataset: Dataset, scenes: Sequence[str], end: float, n: int, seed: i
         frames.scene,
         frame,
         uv,
-        tuple(frames.objects[int(one)] for one in label),
-        np.stack([transform(invert_rigid(poses[int(one)]), point) for one, point in zip(label, points, strict=True)]),
+        tuple(frames.objects[int(i)] for i in label),
+        np.stack([transform(invert_rigid(poses[int(i)]), point) for i, point in zip(label, points, strict=True)]),
         _shapes(dataset, scenes),
     )
 
 
 def _shown(frames: Frames, frame: Frame) -> tuple[int, int]:
-    """Number of objects a frame shows, and of their pixels."""
+    """Number of objects that a frame shows, and of their pixels."""
     import numpy as np
 
     n = np.bincount(frames.labels(frame).ravel(), minlength=256)[list(frames.objects)]
@@ -170,7 +173,7 @@ def _shown(frames: Frames, frame: Frame) -> tuple[int, int]:
 
 
 def _world_from_objects(frames: Frames) -> dict[int, np.ndarray]:
-    """By label, where each object stands."""
+    """The transform (4, 4) of each object, by label."""
     import numpy as np
 
     assert frames.truth is not None
@@ -178,7 +181,7 @@ def _world_from_objects(frames: Frames) -> dict[int, np.ndarray]:
 
 
 def _shapes(dataset: Dataset, scenes: Sequence[str]) -> dict[str, np.ndarray]:
-    """By name, points of each object's surface in its own frame, as far as the scenes show it."""
+    """By name, surface points (m, 3) of each object, metres, in its frame, as far as the scenes show it."""
     import numpy as np
 
     from bask_data.core.geometry import invert_rigid, transform
@@ -197,10 +200,10 @@ def _shapes(dataset: Dataset, scenes: Sequence[str]) -> dict[str, np.ndarray]:
 def _places(
     keypoints: PickedPoints, dataset: Dataset, scenes: Sequence[str], span: tuple[float, float], is_other: bool
 ) -> list[Place]:
-    """Where the keypoints are in all views of some scenes that have their objects.
+    """Ground truth of the keypoints in all views of the scenes that have their objects.
 
     Args:
-        is_other: the objects may be other instances, so their shapes are held against each other.
+        is_other: the objects may be other instances, so their shapes are compared.
     """
     wanted = set(keypoints.objects)
     having = [scene for scene in scenes if wanted & set(Frames(dataset, scene).objects.values())]
@@ -209,7 +212,7 @@ def _places(
     for frames in (Frames(dataset, scene) for scene in having):
         assert frames.truth is not None
         labels = tuple(label_of(frames.truth, name, 0) for name in keypoints.objects)
-        # Scenes stand still: where their points are in one frame, they are in all.
+        # Scenes are static: points are where they are in the first frame.
         points_world = carried(ObjectPoints(labels, keypoints.objects, points), frames.truth, 1)[0]
         chosen = frames.between(*span, MOST_VIEWS)
         own = keypoints.frame if frames.scene == keypoints.scene and not is_other else None
@@ -218,15 +221,17 @@ def _places(
 
 
 def _on_other_instances(keypoints: PickedPoints, shapes: dict[str, np.ndarray]) -> np.ndarray:
-    """The keypoints (k, 3) on instances of other shapes: at the same share of the box along each axis, and from there
-    on to the nearest of the surface. What has the same box is the same instance."""
+    """The keypoints (k, 3) on instances of other shapes: at the same share of the box along each axis, moved to the
+    nearest surface point. Objects with the same box are the same instance."""
     import numpy as np
     from scipy.spatial import cKDTree
 
     moved = keypoints.points_object.copy()
     for name in {*keypoints.objects} & {*shapes}:
-        mine = np.array([one == name for one in keypoints.objects])
-        box, other = (np.stack([one.min(axis=0), one.max(axis=0)]) for one in (keypoints.shapes[name], shapes[name]))
+        mine = np.array([other == name for other in keypoints.objects])
+        box, other = (
+            np.stack([shape.min(axis=0), shape.max(axis=0)]) for shape in (keypoints.shapes[name], shapes[name])
+        )
         if np.abs(box - other).max() > SAME_EXTENTS:
             share = (moved[mine] - box[0]) / (box[1] - box[0])
             _, nearest = cKDTree(shapes[name]).query(other[0] + share * (other[1] - other[0]))
@@ -250,9 +255,9 @@ def _place(frames: Frames, frame: Frame, labels: Sequence[int], points_world: np
 def _errors(
     network: DescriptorNetwork, references: torch.Tensor, places: Sequence[Place], words: str
 ) -> dict[str, float | int | None]:
-    """Figures over all views: mean and standard deviation of the distance between the best match and where a keypoint
-    is, pixels divided by the image's width and height, over the keypoints that are seen; the same of the heat map's
-    mean; and how many are seen, hidden and outside the image."""
+    """Figures over all views: mean and standard deviation of the distance between best match and ground truth, as
+    shares of the image's width and height, over the visible keypoints; the same for the heat map's mean; and numbers of
+    visible, occluded and out-of-view keypoints."""
     import numpy as np
 
     best, expected, state = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, int)]
@@ -265,14 +270,14 @@ def _errors(
         state.append(place.state)
     all_best, all_expected, states = (np.concatenate(parts) for parts in (best, expected, state))
     seen = states == SEEN
-    told: dict[str, float | int | None] = {
+    figures: dict[str, float | int | None] = {
         "views": len(places),
         "seen": int(seen.sum()),
         "hidden": int((states == HIDDEN).sum()),
         "outside": int((states == OUTSIDE).sum()),
     }
     for name, errors in (("", all_best), ("expected_", all_expected)):
-        told[f"{name}mean"] = float(errors[seen].mean()) if seen.any() else None
-        told[f"{name}std"] = float(errors[seen].std()) if seen.any() else None
-    told["median"] = float(np.median(all_best[seen])) if seen.any() else None
-    return told
+        figures[f"{name}mean"] = float(errors[seen].mean()) if seen.any() else None
+        figures[f"{name}std"] = float(errors[seen].std()) if seen.any() else None
+    figures["median"] = float(np.median(all_best[seen])) if seen.any() else None
+    return figures

@@ -1,4 +1,4 @@
-"""What was made of a dataset: every artifact with its maker, its size and its cost."""
+"""The artifacts of a dataset, with the stage that made each, its size and its cost."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bask_data.kinds import KINDS
 
 @dataclass(frozen=True)
 class MadeArtifact:
-    """One line of the list of what was made; `seconds` and `peak_bytes` are None where no record was kept."""
+    """An artifact that exists; `seconds` and `peak_bytes` are None without a record of them."""
 
     artifact: str
     made_by: str
@@ -27,15 +27,15 @@ class MadeArtifact:
 
 def made(dataset: Dataset) -> list[MadeArtifact]:
     """Every artifact of the dataset that exists, in the order of the stages."""
-    found = []
+    artifacts = []
     for kind in KINDS:
         items = [""] if kind.scope == "dataset" else dataset.items(kind.scope)
         for variant in dataset.variants(kind):
             for item in items:
                 artifact = find(dataset, kind, item, variant)
                 if artifact is not None:
-                    found.append(_made(dataset, artifact))
-    return found
+                    artifacts.append(_made(dataset, artifact))
+    return artifacts
 
 
 def _made(dataset: Dataset, artifact: Artifact) -> MadeArtifact:
@@ -51,7 +51,7 @@ def _made(dataset: Dataset, artifact: Artifact) -> MadeArtifact:
             record = read_json(file)
         except BadData:
             record = {}
-    # A record of an earlier making says nothing of this one.
+    # A record of an earlier version of the artifact does not apply.
     record = record if isinstance(record, dict) and record.get("key") == manifest.key else {}
     seconds, peak = record.get("seconds"), record.get("process_peak_bytes")
     return MadeArtifact(

@@ -1,4 +1,4 @@
-"""Visible masks against labels."""
+"""Visible masks compared with ground-truth labels."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     import numpy as np
 
 LEAST_PIXELS = 100
-"""Bodies that show fewer pixels in all frames together are not asked for."""
+"""Objects that show fewer pixels in all frames together are left out."""
 
 
 @dataclass(frozen=True)
 class ObjectScore:
-    """A body, or several that touch, and the instance it was paired with.
+    """An object, or several that touch, and the instance paired with it.
 
     Args:
-        instance: 0 when none is left for it.
+        instance: 0 if none is left for it.
         iou: of the visible masks, over all frames at once.
     """
 
@@ -37,7 +37,7 @@ class ObjectScore:
 
 @dataclass(frozen=True)
 class MaskScore:
-    """The masks of one scene against its labels.
+    """The masks of one scene compared with its labels.
 
     Args:
         n_found: instances of the scene.
@@ -53,17 +53,17 @@ class MaskScore:
 
     @property
     def count_is_right(self) -> bool:
-        """As many instances as bodies, those that touch counted as one."""
+        """Whether there are as many instances as objects, with touching ones counted as one."""
         return self.n_found == len(self.objects)
 
 
 @dataclass
 class MaskCounts:
-    """Pixels of a scene's masks, over the frames of all cameras that were looked at.
+    """Pixel counts of a scene's masks, over the selected frames of all cameras.
 
     Args:
-        table: of `core.scores.overlap` with the labels, where there are some; those of bodies that touch are one, and
-            the robot's are background.
+        table: of `core.scores.overlap` with the labels, if any; those of touching objects are one, and the robot's are
+            background.
         n_pixels: by instance (256,).
         n_labelled_frames: frames with labels.
         n_labelled_pixels: of the masks in those.
@@ -79,10 +79,10 @@ class MaskCounts:
 
 
 def count_masks(masks: VisibleMasks, truth: Truth | None, frames: Callable[[int], Sequence[int]] = range) -> MaskCounts:
-    """Count a scene's masks, and where labels tell what is shown, hold them against these.
+    """Count the pixels of a scene's masks, and compare them with labels where there are any.
 
     Args:
-        frames: which of a camera's frames to look at, by how many there are.
+        frames: selects some of a camera's frames, given their number.
 
     Raises:
         BadData: masks and labels differ in size.
@@ -108,7 +108,7 @@ def count_masks(masks: VisibleMasks, truth: Truth | None, frames: Callable[[int]
                 raise BadData(
                     masks.path / name,
                     "instance",
-                    expected=f"images of the size of the true labels, {labels.shape}",
+                    expected=f"images of the ground-truth labels' size, {labels.shape}",
                     got=instance.shape,
                 )
             counts.table += scores.overlap(groups[labels], instance)
@@ -119,7 +119,7 @@ def count_masks(masks: VisibleMasks, truth: Truth | None, frames: Callable[[int]
 
 
 def label_groups(truth: Truth | None) -> np.ndarray:
-    """For each label (256,) the one it is counted as: bodies that touch are one, the robot is background."""
+    """The label (256,) that each label counts as: touching objects are one, the robot is background."""
     from bask_data.core import scores
 
     groups = scores.joined(truth.touching if truth else [])
@@ -128,7 +128,7 @@ def label_groups(truth: Truth | None) -> np.ndarray:
 
 
 def masks_of(dataset: Dataset, scene: str) -> MaskScore:
-    """Hold a scene's masks against its labels, in all cameras and frames that have both.
+    """Compare a scene's masks with its labels, in all cameras and frames that have both.
 
     Raises:
         BadData: they differ in size.
@@ -151,18 +151,18 @@ def masks_of(dataset: Dataset, scene: str) -> MaskScore:
 
 
 def _names(truth: Truth, groups: np.ndarray, label: int) -> tuple[str, ...]:
-    """Names of the bodies in a group."""
-    return tuple(name for one, name in sorted(truth.label_names.items()) if groups[one] == label)
+    """Names of the objects in a group."""
+    return tuple(name for member, name in sorted(truth.label_names.items()) if groups[member] == label)
 
 
 def evaluated_masks(dataset: Dataset, only: Sequence[str] = ()) -> dict[str, Any]:
-    """Scores of every scene that has masks and truth, and over all of them, as plain JSON values.
+    """Scores of each scene with masks and ground truth, and over all of them, as plain JSON values.
 
-    `counted` is the share of scenes with as many instances as objects, `iou` the mean over objects, `worst` the least,
-    `on_robot` the share of the masks' pixels that show the robot.
+    `counted` is the share of scenes with as many instances as objects, `iou` the mean over objects, `worst` the
+    smallest, `on_robot` the share of the masks' pixels that show the robot.
     """
     scored = {scene: masks_of(dataset, scene) for scene in scenes_with_truth(dataset, VisibleMasks, only)}
-    objects = [one.iou for score in scored.values() for one in score.objects]
+    objects = [body.iou for score in scored.values() for body in score.objects]
     n_pixels = sum(score.n_pixels for score in scored.values())
     everything = {
         "counted": _mean([score.count_is_right for score in scored.values()]),

@@ -1,4 +1,4 @@
-"""Matches to hold descriptors against, spread over changes of scale, rotation and occlusion."""
+"""Matches to evaluate descriptors on, spread over changes of scale, rotation and occlusion."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ if TYPE_CHECKING:
     import numpy as np
 
 N_QUERIES = 24
-"""Pixels of a frame that are looked for in others, shared out over its objects; matches taken of a pair."""
+"""Query pixels of a frame, shared among its objects, and matches used of a pair, at most."""
 MOST_MATCHED_FRAMES = 60
-"""Frames of a scene that are looked at."""
+"""Frames of a scene that are matched, at most."""
 LEAST_MATCHES = 6
-"""Pairs that share less are left out."""
+"""Pairs with fewer matches are left out."""
 SEEN_TOLERANCE = (0.005, 0.01)
-"""A point is seen where the depth is within a + b z metres of its own. With exact depth only rounding to a pixel on an
-oblique surface is to be allowed for; what hides an object is farther in front of it."""
+"""A point is visible where the depth is within a + b z metres of its own. With exact depth, this only allows for
+rounding to a pixel on an oblique surface; occluders are farther in front."""
 SMOOTH_TOLERANCE = (0.002, 0.002)
 """Depths of neighbouring pixels show one surface where they differ by no more than its slope and a + b z metres."""
 EDGE_MARGIN_PX = 2
-"""Pixels that matches stay away from the edges of objects and of surfaces, as those do that networks are trained on."""
+"""Distance of matches from the edges of objects and surfaces, pixels, as in training."""
 N_HIDEABLE_POINTS = 1500
-"""Points of an object's surface taken from a frame, to tell what of it is hidden in others."""
+"""Points of an object's surface taken from a frame, to measure how much of it is occluded in others."""
 SCALES = (1.25, 1.75)
 """Edges of the bins of changes of scale, as factors: neighbouring views of a path, up to most of an octave, more."""
 ROTATIONS_DEG = (30.0, 60.0, 90.0)
-"""Edges of the bins of rotations in the image, degrees; training turns views by whatever angle."""
+"""Edges of the bins of rotations in the image, degrees; training rotates views by any angle."""
 VISIBLE = (0.6, 0.9)
 """Edges of the bins of visible shares of the object. None of these edges changes a figure over all matches."""
 BINS = {
@@ -48,13 +48,13 @@ class PairMatches:
     """Matches from one frame to another.
 
     Attributes:
-        is_random: the pair was drawn blindly, rather than to fill bins.
+        is_random: the pair was drawn at random, rather than to fill bins.
         uv_a, uv_b: pixels of the images (m, 2).
         label: object of each (m,).
-        points_b: what they show (m, 3), metres, frame of the second camera; NaN without depth.
-        scale: how much larger or smaller the second image shows it (m,), at least 1; NaN without depth.
-        rotation: how much the image turns there (m,), radians in [0, pi]; NaN without depth.
-        visible: share of the object that nothing hides in the second image (m,).
+        points_b: matched surface points (m, 3), metres, frame of the second camera; NaN without depth.
+        scale: factor by which the images differ in scale (m,), at least 1; NaN without depth.
+        rotation: rotation between the images (m,), radians in [0, pi]; NaN without depth.
+        visible: share of the object that is not occluded in the second image (m,).
     """
 
     scene: str
@@ -75,7 +75,7 @@ class PairMatches:
         return replace(self, **{name: getattr(self, name)[which] for name in names})
 
     def bins(self) -> dict[str, np.ndarray]:
-        """Number of the bin of each match by what it is told apart by (m,); -1 where that is not known."""
+        """Bin number of each match (m,), by kind of bin; -1 where it is unknown."""
         import numpy as np
 
         values = {"scale": self.scale, "rotation": np.degrees(self.rotation), "occlusion": self.visible}
@@ -87,8 +87,8 @@ class PairMatches:
 
 
 def candidate_pairs(dataset: Dataset, frames: Frames, held_out: HeldOut, seed: int) -> list[PairMatches]:
-    """All pairs of a scene's held-out frames that share enough, with some matches of each: by exact depth where there
-    is truth, else those the dataset has. Where `held_out` says so, pairs of which one frame is held out, too.
+    """All pairs of a scene's held-out frames with enough matches, and some matches of each: by exact depth where there
+    is ground truth, else the dataset's own. If `held_out` allows it, also pairs with one held-out frame.
     """
     import numpy as np
 
@@ -96,14 +96,14 @@ def candidate_pairs(dataset: Dataset, frames: Frames, held_out: HeldOut, seed: i
     aside = held_out.frames(frames, MOST_MATCHED_FRAMES)
     chosen = [*held_out.partners(frames, MOST_MATCHED_FRAMES), *aside]
     if frames.truth is not None:
-        found = _by_truth(frames, chosen, rng)
+        pairs = _by_truth(frames, chosen, rng)
     else:
-        found = _by_correspondences(dataset, frames, chosen, rng)
-    return [pair for pair in found if pair.a in aside or pair.b in aside]
+        pairs = _by_correspondences(dataset, frames, chosen, rng)
+    return [pair for pair in pairs if pair.a in aside or pair.b in aside]
 
 
 def spread_pairs(candidates: Sequence[PairMatches], n_pairs: int, seed: int) -> list[PairMatches]:
-    """At most so many pairs: half of them drawn blindly, the others so that the emptiest bin is filled next."""
+    """At most n_pairs pairs: half of them random, the others chosen to fill the emptiest bins."""
     import numpy as np
 
     from bask_data.core.descriptor_scores import filling
@@ -111,25 +111,24 @@ def spread_pairs(candidates: Sequence[PairMatches], n_pairs: int, seed: int) -> 
     if not candidates:
         return []
     rng = np.random.default_rng([seed, 1])
-    blind = rng.permutation(len(candidates))[: (n_pairs + 1) // 2].tolist()
-    picked = filling(np.stack([_bin_counts(pair) for pair in candidates]), blind, n_pairs, rng)
-    found = [replace(candidates[i], is_random=place < len(blind)) for place, i in enumerate(picked)]
-    # Frames come together, so that their depth and labels are read once.
-    return sorted(found, key=lambda pair: (pair.b, pair.a))
+    random = rng.permutation(len(candidates))[: (n_pairs + 1) // 2].tolist()
+    picked = filling(np.stack([_bin_counts(pair) for pair in candidates]), random, n_pairs, rng)
+    pairs = [replace(candidates[i], is_random=place < len(random)) for place, i in enumerate(picked)]
+    # Sorted by frame, so that depth and labels are read once.
+    return sorted(pairs, key=lambda pair: (pair.b, pair.a))
 
 
 def alike_pairs(candidates: Sequence[PairMatches], n_pairs: int, seed: int) -> list[PairMatches]:
-    """At most so many pairs between which neither scale nor rotation changes much, with the matches for which this is
-    so."""
+    """At most n_pairs pairs with small changes of scale and rotation, with the matches for which this holds."""
     import numpy as np
 
-    found: list[PairMatches] = []
+    pairs: list[PairMatches] = []
     for i in np.random.default_rng([seed, 2]).permutation(len(candidates)):
         bins = candidates[i].bins()
         alike = (bins["scale"] == 0) & (bins["rotation"] == 0)
-        if len(found) < n_pairs and np.count_nonzero(alike) >= LEAST_MATCHES:
-            found.append(candidates[i].some(alike))
-    return found
+        if len(pairs) < n_pairs and np.count_nonzero(alike) >= LEAST_MATCHES:
+            pairs.append(candidates[i].some(alike))
+    return pairs
 
 
 def _bin_counts(pair: PairMatches) -> np.ndarray:
@@ -140,7 +139,7 @@ def _bin_counts(pair: PairMatches) -> np.ndarray:
     return np.concatenate([np.bincount(bins[name] + 1, minlength=len(BINS[name]) + 1)[1:] for name in BINS])
 
 
-# By truth -------------------------------------------------------------------------------------------------------------
+# By ground truth ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -172,22 +171,22 @@ def _queries(frames: Frames, frame: Frame, uv: np.ndarray, label: np.ndarray, de
 def drawn_pixels(
     frames: Frames, frame: Frame, allowed: np.ndarray, n: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """At most n of the allowed pixels (h, w) that show objects (m, 2), and which (m,): as equally many of each as there
-    are."""
+    """At most n of the allowed pixels (h, w) on objects (m, 2), and their labels (m,), shared equally as far as
+    possible."""
     import numpy as np
 
     from bask_data.core.correspondences.search import shares
 
     labels = frames.labels(frame)
     pixels = {label: np.flatnonzero((labels == label) & allowed) for label in frames.objects}
-    taken = shares(np.array([len(one) for one in pixels.values()]), n)
-    drawn = [rng.choice(one, k, replace=False) for one, k in zip(pixels.values(), taken, strict=True)]
+    taken = shares(np.array([len(of_label) for of_label in pixels.values()]), n)
+    drawn = [rng.choice(of_label, k, replace=False) for of_label, k in zip(pixels.values(), taken, strict=True)]
     v, u = np.divmod(np.concatenate(drawn), labels.shape[1])
     return np.stack([u, v], axis=1).astype(float), np.repeat(list(pixels), taken)
 
 
 def shows(frames: Frames, frame: Frame, uv: np.ndarray, z: np.ndarray, label: np.ndarray) -> np.ndarray:
-    """Whether a frame shows points of objects (m,), by where they are in it (m, 2) and (m,): nothing hides them."""
+    """Whether points of objects are visible in a frame (m,), given their pixels (m, 2), depth and labels (m,)."""
     import numpy as np
 
     from bask_data.core import scores
@@ -198,10 +197,10 @@ def shows(frames: Frames, frame: Frame, uv: np.ndarray, z: np.ndarray, label: np
 
 
 def _clear(frames: Frames, frame: Frame) -> np.ndarray:
-    """Pixels (h, w) whose surface is seen less obliquely than 75 degrees and goes on all around them.
+    """Pixels (h, w) whose surface is seen at less than 75 degrees from its normal and continues all around them.
 
-    Beyond, which surface a pixel shows is a matter of chance: nobody picks a keypoint there, and `correspondences`
-    leaves it out.
+    Elsewhere it is a matter of chance which surface a pixel shows; nobody picks keypoints there, and `correspondences`
+    leaves such pixels out.
     """
     from bask_data.core.correspondences.matchable import matchable_view
 
@@ -212,7 +211,7 @@ def _clear(frames: Frames, frame: Frame) -> np.ndarray:
 
 
 def _by_truth(frames: Frames, chosen: list[Frame], rng: np.random.Generator) -> list[PairMatches]:
-    """All pairs of the frames that share enough, with the matches of each first frame's queries."""
+    """All pairs of the frames with enough matches of the first frame's queries."""
     import numpy as np
 
     from bask_data.core.scores import label_at
@@ -222,27 +221,29 @@ def _by_truth(frames: Frames, chosen: list[Frame], rng: np.random.Generator) -> 
         _queries(frames, frame, *drawn_pixels(frames, frame, clear[frame], N_QUERIES, rng), frames.depth(frame))
         for frame in chosen
     ]
-    i_first = np.repeat(np.arange(len(chosen)), [len(one.label) for one in queries])
-    everything = Queries(**{name: np.concatenate([getattr(one, name) for one in queries]) for name in vars(queries[0])})
+    i_first = np.repeat(np.arange(len(chosen)), [len(of_frame.label) for of_frame in queries])
+    everything = Queries(
+        **{name: np.concatenate([getattr(of_frame, name) for of_frame in queries]) for name in vars(queries[0])}
+    )
     surface = _surfaces(frames, chosen)
-    found = []
+    pairs = []
     for b in progress(chosen, f"finding true matches of {frames.scene}"):
         columns = _projected(frames, b, everything, _visible_shares(frames, b, surface))
         is_clear = label_at(clear[b].astype(np.uint8), columns["uv_b"]) == 1
         is_shown = shows(frames, b, columns["uv_b"], columns["points_b"][:, 2], columns["label"])
         seen = np.flatnonzero(is_clear & is_shown)
-        # Sorted by the first frame already, for that is how they were drawn.
+        # Already sorted by the first frame, as they were drawn.
         bounds = np.searchsorted(i_first[seen], np.arange(len(chosen) + 1))
         for a, first, end in zip(chosen, bounds[:-1], bounds[1:], strict=True):
             if a != b and end - first >= LEAST_MATCHES:
                 mine = seen[first:end]
-                one = {name: column[mine] for name, column in columns.items()}
-                found.append(PairMatches(frames.scene, a, b, False, **one))
-    return found
+                matched = {name: column[mine] for name, column in columns.items()}
+                pairs.append(PairMatches(frames.scene, a, b, False, **matched))
+    return pairs
 
 
 def _surfaces(frames: Frames, chosen: list[Frame]) -> dict[int, np.ndarray]:
-    """Points of each object's whole surface, as far as the frames show it (m, 3), world frame."""
+    """Points (m, 3) of each object's whole surface, as far as the frames show it, metres, world frame."""
     import numpy as np
 
     return {
@@ -252,7 +253,7 @@ def _surfaces(frames: Frames, chosen: list[Frame]) -> dict[int, np.ndarray]:
 
 
 def _visible_shares(frames: Frames, frame: Frame, surface: dict[int, np.ndarray]) -> np.ndarray:
-    """By label (256,): share of the object that nothing hides in a frame."""
+    """By label (256,): share of the object that is not occluded in a frame; NaN if the frame does not show it."""
     import numpy as np
 
     from bask_data.core.local_warp import visible_share
@@ -267,7 +268,7 @@ def _visible_shares(frames: Frames, frame: Frame, surface: dict[int, np.ndarray]
 
 
 def _projected(frames: Frames, b: Frame, queries: Queries, visible: np.ndarray) -> dict[str, np.ndarray]:
-    """Where queries lie in another frame, seen there or not: what `PairMatches` holds, by name."""
+    """Queries projected into another frame, visible there or not: columns of `PairMatches` by name."""
     import numpy as np
 
     from bask_data.core.geometry import invert_rigid, project, transform
@@ -299,7 +300,7 @@ def _by_correspondences(
 ) -> list[PairMatches]:
     """The dataset's pairs among the frames, with some of their matches.
 
-    Scale and rotation are by the measured depth of the first frame, the point by that of the second.
+    Scale and rotation are from the measured depth of the first frame, the points from that of the second.
     """
     import numpy as np
 
@@ -308,7 +309,7 @@ def _by_correspondences(
     from bask_data.core.scores import true_depth
 
     stored = Correspondences(dataset.path(Correspondences, frames.scene))
-    matches, wanted, found, end = stored.matches(), set(chosen), [], 0
+    matches, wanted, pairs, end = stored.matches(), set(chosen), [], 0
     column = {name: matches[name].to_numpy() for name in matches.column_names}
     fractions = {name: frames.masks.camera(name).visible_fraction for name in frames.cameras}
     for row in progress(stored.pairs().to_pylist(), f"reading matches of {frames.scene}"):
@@ -321,10 +322,10 @@ def _by_correspondences(
         label = column["instance"][rows].astype(np.int64)
         visible = np.full(256, np.nan)
         visible[1 : 1 + frames.masks.n_instances] = fractions[b.camera][b.i]
-        # Where nothing was measured the nearest measurement will do to tell how far away the surface is.
+        # Where depth is missing, the nearest measurement is close enough to that of the surface.
         queries = _queries(frames, a, uv_a, label, fill_depth(frames.depth(a)))
         columns = _projected(frames, b, queries, visible)
         z = true_depth(frames.depth(b), frames.labels(b), uv_b)
         points_b = unproject(uv_b, np.where(z > 0, z, np.nan), frames.K(b.camera))
-        found.append(PairMatches(frames.scene, a, b, False, **{**columns, "uv_b": uv_b, "points_b": points_b}))
-    return found
+        pairs.append(PairMatches(frames.scene, a, b, False, **{**columns, "uv_b": uv_b, "points_b": points_b}))
+    return pairs

@@ -1,4 +1,4 @@
-"""Figures of descriptor networks: how training went, and how well they find true matches."""
+"""Figures of descriptor networks: training, and evaluation on held-out views."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from bask_data.evaluation.lookup import UNREADABLE, find, what_is_wrong
 from bask_data.kinds import DescriptorNet
 
 MOST_NETWORKS = 5
-"""Descriptor networks compared: one a preset, and one more."""
+"""Descriptor networks compared, at most: one per preset, and one more."""
 PAIRS_EVALUATED, SCENES_EVALUATED = 48, 8
-"""Pairs of frames on which networks are compared, shared among so many scenes at most: enough for an impression, and a
-report is made in a minute. `bask-data evaluate descriptor` takes more."""
+"""Pairs of frames on which networks are compared, shared among at most this many scenes: enough for rough figures
+within a minute. `bask-data evaluate descriptor` uses more."""
 
 
 def descriptor_figures(descriptor: DescriptorNet | None) -> dict[str, Any]:
-    """What the network was validated on, and how well it did."""
+    """What the network was validated on, its metrics and its settings."""
     if descriptor is None:
         return {}
     steps = descriptor.curve()["step"].to_numpy()
@@ -35,13 +35,13 @@ def descriptor_figures(descriptor: DescriptorNet | None) -> dict[str, Any]:
 
 def networks(dataset: Dataset) -> dict[str, DescriptorNet]:
     """The first few descriptor networks by variant."""
-    found = {variant: find(dataset, DescriptorNet, "", variant) for variant in dataset.variants(DescriptorNet)}
-    there = [(variant, one) for variant, one in found.items() if one is not None]
-    return dict(there[:MOST_NETWORKS])
+    networks = {variant: find(dataset, DescriptorNet, "", variant) for variant in dataset.variants(DescriptorNet)}
+    existing = [(variant, network) for variant, network in networks.items() if network is not None]
+    return dict(existing[:MOST_NETWORKS])
 
 
 def descriptors_figures(dataset: Dataset) -> dict[str, Any]:
-    """How well networks find in held-out views what they saw in others, on the same few pairs."""
+    """Evaluation of the first few networks on the same few pairs of held-out views."""
     readable, errors = [], {}
     for variant, network in networks(dataset).items():
         try:
@@ -49,14 +49,14 @@ def descriptors_figures(dataset: Dataset) -> dict[str, Any]:
             readable.append(variant)
         except BadData as error:
             errors[variant] = what_is_wrong(error)
-    found: dict[str, Any] = {}
+    figures: dict[str, Any] = {}
     try:
         if readable:
             scenes = held_out(dataset, readable).scenes
             n_pairs = max(PAIRS_EVALUATED // min(len(scenes), SCENES_EVALUATED), 1)
             some = scenes[:SCENES_EVALUATED] if len(scenes) > SCENES_EVALUATED else ()
             settings = DescriptorSettings(scenes=some, pairs=n_pairs, sweep=True, one_may_be_learned=True)
-            found = evaluated_descriptor(dataset, readable, settings)
+            figures = evaluated_descriptor(dataset, readable, settings)
     except UNREADABLE as error:
         errors["not measured"] = what_is_wrong(error)
-    return {**found, **({"errors": errors} if errors else {})}
+    return {**figures, **({"errors": errors} if errors else {})}

@@ -1,4 +1,4 @@
-"""Where reference keypoints truly are in the recordings of a dataset."""
+"""Ground truth of reference keypoints in the recordings of a dataset."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def known(dataset: Dataset, name: str) -> Known | None:
-    """A scan or demonstration and its truth; None for names that are no item, as those in strangers' files may be."""
+    """A scan or demonstration with its ground truth; None for names that are no item, as in files from elsewhere."""
     kind: type[Scan] | type[Demonstration] = Scan if name in dataset.file.scenes else Demonstration
     if name not in dataset.items(kind.scope) or not (dataset.path(kind, name) / MANIFEST).exists():
         return None
@@ -24,12 +24,12 @@ def known(dataset: Dataset, name: str) -> Known | None:
 
 
 def known_of(dataset: Dataset, picks: Sequence[Pick], name: str = "") -> dict[str, Known]:
-    """By name, a recording and those that keypoints were picked in, as far as they are there."""
+    """By name, a recording and those that keypoints were picked in, as far as they exist."""
     names = dict.fromkeys([*([name] if name else []), *(pick.recording for pick in picks)])
-    return {one: found for one in names if (found := known(dataset, one)) is not None}
+    return {item: recorded for item in names if (recorded := known(dataset, item)) is not None}
 
 
 def places_of(dataset: Dataset, picks: Sequence[Pick], name: str) -> np.ndarray:
-    """Where keypoints are in each frame of a recording that exists (t, k, 3), metres, world frame; NaN where that is
-    not known, or the object is not there."""
+    """Ground-truth positions of keypoints in each frame of a recording that exists (t, k, 3), metres, world frame; NaN
+    where unknown, or the object is absent."""
     return true_places(picks, known_of(dataset, picks, name), name)

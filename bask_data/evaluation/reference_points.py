@@ -1,4 +1,4 @@
-"""Reference points: where they were picked, and where they truly are in other views."""
+"""Reference keypoints: where they were picked, and their ground truth in other views."""
 
 from __future__ import annotations
 
@@ -16,32 +16,34 @@ from bask_data.kinds import Camera, Pick, ReferenceKeypoints, Scan, VisibleMasks
 from bask_data.kinds.places import label_of, picked_label, points_on_objects, true_pixels, true_places
 
 N_POINTS = 16
-"""Points chosen where no reference keypoints are there."""
+"""Points chosen if there are no reference keypoints."""
 N_LOOKED_AT = 24
-"""Frames of a scene among which the one with most to pick from is looked for."""
+"""Frames of each camera that are searched for the best one to pick in."""
 INNER_BORDERS = (0.03, 0.015, 0.0)
-"""Distances of such points from a mask's edge, as shares of the image's height; the next where an object is slim."""
-SEEN, BEHIND, OUTSIDE, UNKNOWN = "seen", "hidden", "out of view", "unknown"
+"""Distances of such points from a mask's edge, as shares of the image's height; slim objects take the next."""
+SEEN, BEHIND, OUTSIDE, UNKNOWN = "visible", "occluded", "out of view", "unknown"
 
 
 def reference_points(dataset: Dataset, variants: Sequence[str]) -> list[Pick]:
-    """The picks of the first of these variants that has reference keypoints, or else some well inside the objects of
-    one frame of a training scene, of each set of objects that occurs together: all networks are asked for the same."""
+    """The picks of the first of these variants that has reference keypoints, so that all networks look for the same.
+
+    Without any, points well inside the objects of one training frame, for each set of objects that occur together.
+    """
     for variant in variants:
-        found = find(dataset, ReferenceKeypoints, "", variant)
-        if found is not None and found.picks:
-            return found.picks
+        references = find(dataset, ReferenceKeypoints, "", variant)
+        if references is not None and references.picks:
+            return references.picks
     scene_of: dict[frozenset[str], tuple[Scan, VisibleMasks]] = {}
     for name in learned_scenes(dataset):
         scan, masks, truth = find(dataset, Scan, name), find(dataset, VisibleMasks, name), find_truth(dataset, name)
         if scan is not None and masks is not None and masks.n_instances:
-            # Without labels nobody knows which scenes show the same.
+            # Without labels it is unknown which scenes show the same objects.
             scene_of.setdefault(frozenset(truth.label_names.values() if truth else ()), (scan, masks))
     return [pick for scan, masks in scene_of.values() for pick in _inner_points(dataset, scan, masks)]
 
 
 def _inner_points(dataset: Dataset, scan: Scan, masks: VisibleMasks) -> list[Pick]:
-    """Points of the frame that shows most of all objects, spread over each of them."""
+    """Points spread over each object, in the frame that shows most of all objects."""
     from bask_data.nn.selection import inner_pixels, spread_out
 
     camera, i_frame = _fullest_frame(scan, masks)
@@ -66,24 +68,24 @@ def _inner_points(dataset: Dataset, scan: Scan, masks: VisibleMasks) -> list[Pic
 
 
 def _object_name(dataset: Dataset, pick: Pick) -> str:
-    """The label's where there is one, else the instance's number."""
+    """The name of the pick's label, or else the instance's number."""
     truth = find_truth(dataset, pick.recording)
     label = picked_label(pick, truth)
     return truth.label_names.get(label, pick.name) if truth and label > 0 else pick.name
 
 
 def _fullest_frame(scan: Scan, masks: VisibleMasks) -> tuple[Camera, int]:
-    """A large object must not outweigh a small one: their sizes count by the length of their sides."""
+    """The frame that shows most of all objects, by roots of areas so that large ones do not outweigh small ones."""
     best = (-1.0, scan.cameras[0], 0)
     for camera in scan.cameras:
         for i_frame in spread_frames(camera.n_frames, N_LOOKED_AT):
             sizes = np.bincount(masks.camera(camera.name).instance(i_frame).ravel(), minlength=2)[1:]
-            best = max(best, (float(np.sqrt(sizes).sum()), camera, i_frame), key=lambda one: one[0])
+            best = max(best, (float(np.sqrt(sizes).sum()), camera, i_frame), key=lambda candidate: candidate[0])
     return best[1], best[2]
 
 
 def frame_of(dataset: Dataset, pick: Pick) -> np.ndarray | None:
-    """The image a point was picked in, or None if the dataset does not hold it, or it has no such pixel."""
+    """The image (h, w, 3) uint8 that a keypoint was picked in, or None if it is not in the dataset."""
     recording = find_recording(dataset, pick.recording)
     if recording is None or pick.camera not in recording.camera_names:
         return None
@@ -93,11 +95,11 @@ def frame_of(dataset: Dataset, pick: Pick) -> np.ndarray | None:
 
 @dataclass(frozen=True)
 class PointsInFrame:
-    """Where k points are in one frame.
+    """Ground truth of k keypoints in one frame.
 
     Args:
-        uv: (k, 2) pixels; NaN where that is not known, or behind the camera.
-        states: of each: SEEN, BEHIND something, OUTSIDE the image, or UNKNOWN.
+        uv: (k, 2) pixels; NaN where unknown, or behind the camera.
+        states: of each: SEEN, BEHIND an occluder, OUTSIDE the image, or UNKNOWN.
     """
 
     uv: np.ndarray
@@ -105,7 +107,7 @@ class PointsInFrame:
 
 
 class TruePlaces:
-    """Where points truly are in a recording: in their own scan by the cameras, elsewhere by the poses of objects."""
+    """Ground truth of keypoints in a recording: by the cameras in their own scan, elsewhere by the objects' poses."""
 
     def __init__(self, dataset: Dataset, picks: Sequence[Pick], name: str) -> None:
         self._picks, self._name = picks, name
@@ -114,17 +116,17 @@ class TruePlaces:
 
     @cached_property
     def places(self) -> np.ndarray:
-        """(t, k, 3) metres, world; NaN where not known."""
+        """Positions (t, k, 3), metres, world frame; NaN where unknown."""
         return true_places(self._picks, self._known, self._name)
 
     @cached_property
     def known(self) -> list[bool]:
-        """Whether a point's place is known in any frame."""
+        """Whether each keypoint's position is known in any frame."""
         return np.isfinite(self.places).all(axis=2).any(axis=0).tolist()
 
     @cached_property
     def absent(self) -> list[bool]:
-        """Whether the labels say that a point's object is not in this recording at all."""
+        """Whether each keypoint's object is absent from this recording, by the labels."""
         on = points_on_objects(self._picks, self._known)
         return [
             self._truth is not None
@@ -135,7 +137,7 @@ class TruePlaces:
         ]
 
     def pixels(self, camera: Camera, i_frame: int) -> PointsInFrame:
-        """Where the points are in a frame, and whether it shows them."""
+        """Pixels and visibility of the keypoints in a frame."""
         points = self.places[min(i_frame, len(self.places) - 1)]
         uv, inside, hidden = true_pixels(points, camera, self._truth, i_frame)
         columns = zip(np.isfinite(points).all(axis=1), inside, hidden, strict=True)

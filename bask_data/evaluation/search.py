@@ -1,4 +1,4 @@
-"""Looking with a network for pixels of one image in another."""
+"""Search with a network for pixels of one image in another."""
 
 from __future__ import annotations
 
@@ -15,24 +15,23 @@ if TYPE_CHECKING:
     from bask_data.nn.network import DescriptorNetwork
 
 ALPHA = 4.0
-"""Temperature of heat maps softmax(-alpha z) where nothing says with which a network is used: that of the paper (von
-Hartz et al. 2023, Sec. III-B) and of the filters by default. Calibration is measured at `ALPHAS`, too."""
+"""Temperature of heat maps softmax(-alpha z) unless a network is used with another: that of the paper (von Hartz et
+al. 2023, Sec. III-B) and the filters' default. Calibration is also measured at `ALPHAS`."""
 ALPHAS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
-"""Others, of which the one that fits the network best is told."""
+"""Other temperatures, of which the best calibrated is reported."""
 RADIUS = 0.04
-"""Share of the image's diagonal within which a heat map's mass is its confidence, and a match is right."""
+"""Radius, as a share of the image's diagonal, within which a heat map's mass is its confidence, and matches count."""
 
 
 class Described(NamedTuple):
-    """An image: its descriptors at the network's stride, a small part of what those of all its pixels would be, and its
-    (height, width)."""
+    """An image's descriptors at the network's stride, far fewer than those of all pixels, and its (height, width)."""
 
     cells: torch.Tensor
     size: tuple[int, int]
 
 
 class Cells:
-    """A scene's frames as a network describes them, each once."""
+    """A scene's frames as described by a network, each once."""
 
     def __init__(self, network: DescriptorNetwork, frames: Frames) -> None:
         self._network, self._frames = network, frames
@@ -45,7 +44,7 @@ class Cells:
 
 
 def described(network: DescriptorNetwork, rgb: np.ndarray) -> Described:
-    """An image as a network describes it."""
+    """The descriptors of an image."""
     return Described(network.cells(rgb), (rgb.shape[0], rgb.shape[1]))
 
 
@@ -64,7 +63,7 @@ def descriptors_at(network: DescriptorNetwork, image: Described, uv: np.ndarray)
 def looked_for(
     network: DescriptorNetwork, queries: torch.Tensor, image: Described, uv: np.ndarray, alpha: float
 ) -> MapScores:
-    """What the distance maps of an image say of descriptors (n, d) whose true places in it are known (n, 2)."""
+    """Scores of an image's distance maps for descriptors (n, d) whose true pixels (n, 2) in it are known."""
     import numpy as np
 
     from bask_data.core.descriptor_scores import map_scores
@@ -81,39 +80,39 @@ def looked_for(
     )
 
 
-def records_of(found: MapScores, size: tuple[int, int], error_3d: np.ndarray | None = None) -> Records:
-    """The records of matches in an image of this (height, width); without 3D errors these are not known."""
+def records_of(scores: MapScores, size: tuple[int, int], error_3d: np.ndarray | None = None) -> Records:
+    """The records of matches in an image of this (height, width); 3D errors are NaN unless given."""
     import numpy as np
 
     from bask_data.core.descriptor_scores import Records
 
     diagonal = float(np.hypot(*size))
     return Records(
-        error_px=found.error_px,
-        error_share=found.error_px / diagonal,
-        error_3d=np.full(len(found.error_px), np.nan) if error_3d is None else error_3d,
-        closer_share=found.closer_share,
-        false_positive_px=found.false_positive_px,
-        false_positive_share=found.false_positive_px / diagonal,
-        confidence=found.confidence,
-        is_near=found.error_px <= RADIUS * diagonal,
+        error_px=scores.error_px,
+        error_share=scores.error_px / diagonal,
+        error_3d=np.full(len(scores.error_px), np.nan) if error_3d is None else error_3d,
+        closer_share=scores.closer_share,
+        false_positive_px=scores.false_positive_px,
+        false_positive_share=scores.false_positive_px / diagonal,
+        confidence=scores.confidence,
+        is_near=scores.error_px <= RADIUS * diagonal,
     )
 
 
 def found_matches(network: DescriptorNetwork, cells: Cells, frames: Frames, pair: PairMatches, alpha: float) -> Records:
     """The records of a pair's matches."""
     queries = descriptors_at(network, cells[pair.a], pair.uv_a)
-    found = looked_for(network, queries, cells[pair.b], pair.uv_b, alpha)
-    return records_of(found, frames.size(pair.b.camera), _error_3d(frames, pair, found.best))
+    scores = looked_for(network, queries, cells[pair.b], pair.uv_b, alpha)
+    return records_of(scores, frames.size(pair.b.camera), _error_3d(frames, pair, scores.best))
 
 
 def _error_3d(frames: Frames, pair: PairMatches, best: np.ndarray) -> np.ndarray:
-    """Metres between the surface at the best matches and the true points; NaN without depth."""
+    """Distances (m,) between the surface at the best matches and the true points, metres; NaN without depth."""
     import numpy as np
 
     from bask_data.core.geometry import unproject
     from bask_data.core.scores import true_depth
 
     z = true_depth(frames.depth(pair.b), frames.labels(pair.b), best)
-    found = unproject(best, np.where(z > 0, z, np.nan), frames.K(pair.b.camera))
-    return np.linalg.norm(found - pair.points_b, axis=1)
+    points = unproject(best, np.where(z > 0, z, np.nan), frames.K(pair.b.camera))
+    return np.linalg.norm(points - pair.points_b, axis=1)

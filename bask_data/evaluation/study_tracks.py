@@ -1,4 +1,4 @@
-"""Demonstrations tracked in all ways that a study of keypoints compares: one pass over the frames of each."""
+"""Demonstrations tracked by all methods that a study of keypoints compares, in one pass over the frames."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     from bask_data.nn.network import DescriptorNetwork
 
 HISTOGRAM_EVERY = 5
-"""One of so many frames is counted in the histograms of distances: neighbours tell the same."""
+"""One frame in this many is counted in the histograms of distances, because neighbouring frames are alike."""
 NEAR_SHARE = 0.02
-"""Share of the image's diagonal within which a pixel shows a keypoint's surroundings."""
+"""Radius of a keypoint's surroundings, as a share of the image's diagonal."""
 MAP_SIZE = 64
-"""Pixels of an example's distance map."""
+"""Width of an example's distance map, pixels."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """A way to track: whose network, and which belief."""
+    """A method of tracking: a network and a kind of belief."""
 
     variant: str
     belief: str
@@ -44,41 +44,41 @@ class Method:
 
 
 def methods_of(units: Mapping[str, float], settings: SettingsName) -> list[Method]:
-    """What is compared: all beliefs with the first network, that of single frames with the others.
+    """The methods that are compared: all beliefs with the first network, expectation with the others.
 
     Args:
-        units: by variant, what its network's distances were divided by when it was trained, in units of what filters
-            divide them by. The temperature is made for distances as they were trained: else a network whose distances
-            are small would be said to know nothing.
+        units: by variant, the unit of its network's training distances in units of the filters' distances. The
+            temperature is meant for distances as trained; otherwise, a network with small distances would seem to
+            distinguish nothing.
         settings: preset of all filters.
     """
     from bask_data.core.filters.table import FILTERS, alpha_of_one_frame, filter_named, settings_named
 
     first, *others = units
-    found = []
+    methods = []
     for name in FILTERS:
         if not filter_named(name).by_single_frames:
-            found.append(Method(first, name, settings_named(name, settings)))
+            methods.append(Method(first, name, settings_named(name, settings)))
             continue
         alpha = alpha_of_one_frame(name, settings) or 1.0
         temperatures = {variant: settings_named(name, settings, alpha=alpha / units[variant]) for variant in units}
         none = settings_named(name, settings, alpha=1.0 / units[first])
-        found += [
+        methods += [
             *(Method(variant, name, temperatures[variant]) for variant in reversed(others)),
             Method(first, f"{name}, no temperature", none),
             Method(first, name, temperatures[first]),
         ]
-    return found
+    return methods
 
 
 @dataclass
 class Tracked:
-    """A demonstration tracked in all ways.
+    """A demonstration tracked by all methods.
 
     Attributes:
-        places: (t, k, 3), metres, world: where the points truly are; NaN where that is not known.
+        places: (t, k, 3) ground-truth positions, metres, world frame; NaN where unknown.
         uv: (c, t, k, 2) pixels of these; NaN behind the camera.
-        mean, mode: by method (t, k, 3), metres, world.
+        mean, mode: by method (t, k, 3), metres, world frame.
         pixel: by method (t, c, k, 2) of the mean.
         counts: by variant and group of pixels, their histogram of descriptor distances.
         first_maps: by variant, the first camera's distance maps of the first frame (k, h, w), coarse.
@@ -99,17 +99,17 @@ class Tracked:
 def references_of(
     dataset: Dataset, network: DescriptorNetwork, picks: Sequence[Pick], folder: Path
 ) -> ReferenceKeypoints:
-    """The points as a network describes them where they were picked."""
+    """Reference keypoints with a network's descriptors of the picks."""
     import numpy as np
 
-    found = []
+    descriptors = []
     for pick in picks:
         picked_in = whole(dataset, pick.recording)
-        assert picked_in is not None, "points are picked where truth is"
+        assert picked_in is not None, "points are picked where there is ground truth"
         image = picked_in.recording.camera(pick.camera).rgb(pick.frame)
         uv = np.array([[pick.u, pick.v]], dtype=np.float32)
-        found.append(network.descriptors_at(image, uv)[0].cpu().numpy())
-    ReferenceKeypoints.write(folder, descriptors=np.stack(found), picks=list(picks))
+        descriptors.append(network.descriptors_at(image, uv)[0].cpu().numpy())
+    ReferenceKeypoints.write(folder, descriptors=np.stack(descriptors), picks=list(picks))
     return ReferenceKeypoints(folder)
 
 
@@ -126,12 +126,12 @@ def tracked_in(
     """One pass over a demonstration's frames, each described once by each network and tracked as `encode` does."""
     import numpy as np
 
-    one = whole(dataset, name)
-    assert one is not None, "asked only where there is truth"
-    demonstration = one.recording
-    assert isinstance(demonstration, Demonstration), "asked only of demonstrations"
+    source = whole(dataset, name)
+    assert source is not None, "only demonstrations with ground truth are tracked"
+    demonstration = source.recording
+    assert isinstance(demonstration, Demonstration), "scans are not tracked"
     cameras = cameras_of(demonstration, tuple(asked))
-    tracked = _with_truth(dataset, name, cameras, picks, one.truth)
+    tracked = _with_truth(dataset, name, cameras, picks, source.truth)
     trackers = {
         method.name: KeypointTracker(
             networks[method.variant],
@@ -142,7 +142,7 @@ def tracked_in(
         )
         for method in methods
     }
-    grippers, found = (
+    grippers, keypoints_by = (
         grippers_of(demonstration, len(tracked.places)),
         {name: list[TrackedKeypoints]() for name in trackers},
     )
@@ -151,36 +151,38 @@ def tracked_in(
         for variant in networks:
             mine = [method.name for method in methods if method.variant == variant]
             look = trackers[mine[0]].look(*moment)
-            _count(tracked, variant, one.truth, look.observations[cameras[0].name].distance, i_frame)
+            _count(tracked, variant, source.truth, look.observations[cameras[0].name].distance, i_frame)
             for method in mine:
-                found[method].append(trackers[method].update(look, None if grippers is None else grippers[i_frame]))
-    for method, keypoints in found.items():
-        tracked.mean[method] = np.stack([one.mean for one in keypoints])
-        tracked.mode[method] = np.stack([one.mode for one in keypoints])
-        tracked.pixel[method] = np.stack([np.stack([*one.pixel.values()]) for one in keypoints])
+                keypoints_by[method].append(
+                    trackers[method].update(look, None if grippers is None else grippers[i_frame])
+                )
+    for method, keypoints in keypoints_by.items():
+        tracked.mean[method] = np.stack([of_frame.mean for of_frame in keypoints])
+        tracked.mode[method] = np.stack([of_frame.mode for of_frame in keypoints])
+        tracked.pixel[method] = np.stack([np.stack([*of_frame.pixel.values()]) for of_frame in keypoints])
     return tracked
 
 
 def _with_truth(dataset: Dataset, name: str, cameras: Sequence[Camera], picks: Sequence[Pick], truth: Truth) -> Tracked:
-    """A demonstration that nothing is tracked in yet, and what its cameras see of the points."""
+    """A demonstration before tracking, with ground truth and visibility of the points."""
     import numpy as np
 
     from bask_data.core.keypoint_scores import sighting
 
     places = true_tracks(dataset, picks, name)
-    found = [
+    pixels = [
         [true_pixels(point, camera, truth, i) for i, point in enumerate(places[: camera.n_frames])]
         for camera in cameras
     ]
     inside, hidden = (
-        np.array([[getattr(frame, what) for frame in frames] for frames in found]) for what in ("inside", "hidden")
+        np.array([[getattr(frame, what) for frame in frames] for frames in pixels]) for what in ("inside", "hidden")
     )
-    uv = np.array([[frame.uv for frame in frames] for frames in found])
+    uv = np.array([[frame.uv for frame in frames] for frames in pixels])
     return Tracked(name, [camera.name for camera in cameras], places, sighting(inside, hidden, places), uv)
 
 
 def _coarse(maps: np.ndarray) -> np.ndarray:
-    """Maps (k, h, w) at `MAP_SIZE` pixels of width, or as they are."""
+    """Maps (k, h, w) shrunk to a width of `MAP_SIZE`, or as they are."""
     import cv2
     import numpy as np
 
@@ -188,12 +190,12 @@ def _coarse(maps: np.ndarray) -> np.ndarray:
     if width <= MAP_SIZE:
         return maps
     size = (MAP_SIZE, max(round(height * MAP_SIZE / width), 1))
-    return np.stack([cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in maps])
+    return np.stack([cv2.resize(map_, size, interpolation=cv2.INTER_AREA) for map_ in maps])
 
 
 def _count(tracked: Tracked, variant: str, truth: Truth, distance: np.ndarray, i_frame: int) -> None:
-    """Add the first camera's distance maps (k, h, w) of the keypoints it shows to the histograms: pixels near the
-    keypoint, of other objects and of none. Keep the first frame's."""
+    """Add the first camera's distance maps (k, h, w) of visible keypoints to the histograms of pixels near the
+    keypoint, elsewhere on objects, and on background; keep the first frame's maps."""
     import numpy as np
 
     from bask_data.core.geometry import pixel_grid, scale_pixels
@@ -214,5 +216,5 @@ def _count(tracked: Tracked, variant: str, truth: Truth, distance: np.ndarray, i
     on_object = np.isin(labels[np.ix_(v, u)], (0, ROBOT), invert=True)[None] & ~near
     groups = {"near": near, "objects": on_object, "background": ~near & ~on_object}
     counts = tracked.counts.setdefault(variant, {})
-    for group, found in z_counts(distance[shown], groups, z_edges()).items():
-        counts[group] = counts.get(group, 0) + found
+    for group, n_pixels in z_counts(distance[shown], groups, z_edges()).items():
+        counts[group] = counts.get(group, 0) + n_pixels

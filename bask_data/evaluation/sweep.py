@@ -1,4 +1,4 @@
-"""Scale and rotation by themselves: views that hardly differ, one of them zoomed or turned by so much exactly."""
+"""Scale and rotation alone: similar views, one of them zoomed or turned by a known amount."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 ZOOMS = {"1/2": 0.5, "1": 1.0, "2": 2.0}
 TURNS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0)
-"""Rotations of a view, degrees: the other half is its mirror image."""
+"""Rotations of a view, degrees; the other half circle mirrors them."""
 CONDITIONS = {"zoom": tuple(ZOOMS), "turn": tuple(f"{angle:g}" for angle in TURNS_DEG)}
-"""How much larger the target is than the reference, and degrees by which it is turned."""
+"""Names of conditions: scale of the target relative to the reference, and its rotation in degrees."""
 
 
 def about(centre: np.ndarray, zoom: float, turn_deg: float) -> np.ndarray:
-    """The map of pixels (2, 3) that enlarges and turns an image about one of them, which stays where it is."""
+    """The affine map of pixels (2, 3) that scales and rotates an image about a pixel."""
     import numpy as np
 
     angle = np.radians(turn_deg)
@@ -33,19 +33,19 @@ def about(centre: np.ndarray, zoom: float, turn_deg: float) -> np.ndarray:
 
 
 def moved_pixels(uv: np.ndarray, way: np.ndarray) -> np.ndarray:
-    """Where pixels (n, 2) come to lie."""
+    """Pixels (n, 2) mapped by an affine map (2, 3)."""
     return uv @ way[:, :2].T + way[:, 2]
 
 
 def moved(rgb: np.ndarray, way: np.ndarray) -> np.ndarray:
-    """The image enlarged and turned, its edges drawn out where it has nothing to show."""
+    """The image mapped by an affine map, with its edges repeated outside."""
     import cv2
 
     return cv2.warpAffine(rgb, way, rgb.shape[1::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _ways(pair: PairMatches, size: tuple[int, int]) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
-    """By condition, what becomes of the pixels of both images."""
+    """By condition, the affine maps of both images."""
     import numpy as np
 
     middle_a, middle_b = np.median(pair.uv_a, axis=0), np.median(pair.uv_b, axis=0)
@@ -59,7 +59,7 @@ def _ways(pair: PairMatches, size: tuple[int, int]) -> dict[tuple[str, str], tup
 
 
 def _stay(pair: PairMatches, frames: Frames, way_a: np.ndarray, way_b: np.ndarray) -> np.ndarray:
-    """Matches that are still in both images."""
+    """Which matches (m,) stay in both images."""
     from bask_data.core.geometry import in_image
 
     in_a = in_image(moved_pixels(pair.uv_a, way_a), *frames.size(pair.a.camera))
@@ -69,11 +69,10 @@ def _stay(pair: PairMatches, frames: Frames, way_a: np.ndarray, way_b: np.ndarra
 def swept(
     network: DescriptorNetwork, frames: Frames, pairs: Sequence[PairMatches], alpha: float, name: str
 ) -> Iterator[tuple[str, str, Records]]:
-    """The records of each pair under each condition; the same matches under all, those that none leads out of the
-    image.
+    """The records of each pair under each condition, for the matches that stay in the image under all of them.
 
-    Zoomed is about the middle of the matches, turned about that of the image: an image turned by half a turn has lost
-    nothing. One half the size is a reference twice as large, for there is nothing to show around a smaller target.
+    Views are zoomed about the median of the matches and turned about the middle of the image, which loses nothing in
+    half a turn. For zoom 1/2 the reference is enlarged, because a smaller target would lack surroundings.
     """
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""Figures of tracked keypoints, compared with ground truth as far as it is known."""
+"""Figures of tracked keypoints, compared with ground truth where there is any."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from bask_data.kinds import KeypointTrack, Pick, ReferenceKeypoints, Truth
 from bask_data.kinds.places import object_poses, picked_label
 
 TOLERANCE_PX = 5.0
-"""A keypoint this close to its object counts as near: labels drawn by people are not better than that."""
+"""Distance to its object within which a keypoint counts as near, pixels: the accuracy of hand-drawn labels."""
 
 
 class TrackScores:
-    """A track held against the ground truth of its demonstration, as far as there is one."""
+    """A track compared with the ground truth of its demonstration, where there is any."""
 
     def __init__(self, dataset: Dataset, demonstration: str, variant: str) -> None:
         track = find(dataset, KeypointTrack, demonstration, variant)
-        assert track is not None, "asked only for tracks that exist"
+        assert track is not None, "only tracks that exist are scored"
         self.track = track
         self.recording = find_recording(dataset, demonstration)
         self.truth = find_truth(dataset, demonstration)
@@ -39,18 +39,18 @@ class TrackScores:
 
     @cached_property
     def picks(self) -> list[Pick | None]:
-        """The pick of each keypoint, by name; None where the reference does not have it."""
+        """The pick of each keypoint, by name; None if the reference lacks it."""
         by_name = {pick.name: pick for pick in self.reference.picks} if self.reference else {}
         return [by_name.get(name) for name in self.track.names]
 
     @cached_property
     def picked_labels(self) -> list[int]:
-        """True label of what each keypoint was picked on: 0 is background, -1 unknown."""
+        """Ground-truth label that each keypoint was picked on: 0 is background, -1 unknown."""
         picked = [pick for pick in self.picks if pick]
         known = known_of(self._dataset, picked)
         here = [pick for pick in picked if pick.recording in known]
-        found = {pick.name: picked_label(pick, known[pick.recording].truth) for pick in here}
-        return [found.get(name, -1) for name in self.track.names]
+        labels = {pick.name: picked_label(pick, known[pick.recording].truth) for pick in here}
+        return [labels.get(name, -1) for name in self.track.names]
 
     @cached_property
     def labels(self) -> np.ndarray:
@@ -59,27 +59,27 @@ class TrackScores:
 
     @cached_property
     def places(self) -> np.ndarray:
-        """Where each keypoint truly is in each frame (t, k, 3), metres, world; NaN where not known."""
+        """Ground-truth positions (t, k, 3), metres, world frame; NaN where unknown."""
         n, k = len(self.track.mean), len(self.track.names)
         places, indices = np.full((n, k, 3), np.nan), [i for i, pick in enumerate(self.picks) if pick]
         if self.recording is not None and indices:
-            found = places_of(self._dataset, [pick for pick in self.picks if pick], self.recording.path.name)[:n]
-            places[: len(found), indices] = found
+            known = places_of(self._dataset, [pick for pick in self.picks if pick], self.recording.path.name)[:n]
+            places[: len(known), indices] = known
         return places
 
     @cached_property
     def with_place(self) -> np.ndarray:
-        """(k,) bool: keypoints whose place is known, in some frame at least."""
+        """(k,) bool: keypoints with ground truth in some frame."""
         return np.isfinite(self.places).all(axis=2).any(axis=0)
 
     @cached_property
     def error(self) -> np.ndarray:
-        """(t, k) metres; NaN where not known."""
+        """Errors (t, k), metres; NaN where unknown."""
         return distances(self.track.mean, self.places)
 
     @cached_property
     def spread(self) -> np.ndarray:
-        """(t, k) metres."""
+        """Spread (t, k), metres."""
         return scores.spread(self.track.covariance)
 
     @cached_property
@@ -102,38 +102,38 @@ class TrackScores:
 
     @property
     def all_landings(self) -> list[scores.Landing]:
-        """Of all cameras and frames."""
-        return [one for landings in self.landings.values() for one in landings]
+        """Landings of all cameras and frames."""
+        return [landing for landings in self.landings.values() for landing in landings]
 
     def why_no_error(self) -> str:
-        """Why there is no error against the truth, in words; empty when there is one."""
+        """Why there is no error, in words; empty if there is one."""
         if self.with_place.any():
             return ""
         if self.truth is None:
             return "there is no ground truth for this demonstration"
         if self.reference is None:
-            return "the reference keypoints it was made from are gone"
+            return "the reference keypoints of the track are missing"
         if not self.labels.any():
             return "the reference keypoints were picked on no labelled object"
         if not object_poses(self.truth):
-            return "the ground truth of this demonstration does not say where its objects stand"
-        return "no object that a keypoint was picked on has a known place in both recordings"
+            return "the ground truth of this demonstration has no poses of its objects"
+        return "no object with a keypoint has a known pose in both recordings"
 
     def why_no_share(self) -> str:
-        """Why there is no share on the right object, in words; empty when there is one."""
+        """Why there is no share on the correct object, in words; empty if there is one."""
         if self.truth is None:
             return "there is no ground truth for this demonstration"
         if not self.labels.any():
             return "no label is known for any reference keypoint's object"
         if not self.landings:
-            return "the ground truth labels none of the track's cameras"
-        if not any(one.in_view.any() for one in self.all_landings):
+            return "the ground truth has no labels for the track's cameras"
+        if not any(landing.in_view.any() for landing in self.all_landings):
             return "no keypoint's object is in view by the labels"
         return ""
 
 
 def _checked(truth: Truth, camera: str, i_frame: int, size: tuple[int, int] | None) -> np.ndarray:
-    """The labels of a frame, which must be as large as its image: pixels mean nothing else."""
+    """The labels (h, w) of a frame, which must be as large as its image."""
     labels = truth.instance(camera, i_frame)
     if size is not None and labels.shape != size:
         raise BadData(truth.path / camera / "instance", "shape", expected=f"{size} as the images", got=labels.shape)

@@ -1,4 +1,4 @@
-"""Which points a study of keypoints follows, and where they truly are in each demonstration."""
+"""The points that a study of keypoints tracks, and their ground truth in each demonstration."""
 
 from __future__ import annotations
 
@@ -20,37 +20,37 @@ if TYPE_CHECKING:
     import numpy as np
 
 ROUND = ("lid",)
-"""Objects that look the same however they are turned about their own z axis: the simulator's one."""
+"""Objects that are symmetric about their own z axis: the simulator's only one."""
 TRACKED_BORDERS = (0.015, 0.0)
-"""Distances of points from an object's edge, as shares of the image's height; the next where it is slim."""
+"""Distances of points from an object's edge, as shares of the image's height; slim objects take the next."""
 N_LOOKED_AT = 24
-"""Frames of each camera of a scan among which the one that shows most of the objects is looked for."""
+"""Frames of each camera that are searched for the one that shows most of the objects."""
 N_POINT_CANDIDATES = 400
 """Pixels of an object that its points are chosen from."""
 
 
 def demonstrations_with_truth(dataset: Dataset, asked: Sequence[str]) -> list[str]:
-    """Demonstrations whose truth knows where their objects are: those asked for, or all.
+    """Demonstrations with ground-truth poses of their objects: those asked for, or all.
 
     Raises:
-        UsageError: there is none, or one asked for is not.
+        UsageError: there are none, or one asked for is not among them.
     """
-    there = dataset.items("demonstration")
-    known_to_truth = [name for name in there if (one := whole(dataset, name)) and _objects_of(one.truth)]
+    existing = dataset.items("demonstration")
+    known_to_truth = [name for name in existing if (source := whole(dataset, name)) and _objects_of(source.truth)]
     for name in asked:
         if name not in known_to_truth:
-            got = "none of that name" if name not in there else f"{name}, without"
+            got = "none of that name" if name not in existing else f"{name}, without"
             raise UsageError(
                 dataset.root,
                 "--demonstrations",
-                expected=f"of those with true transforms ({', '.join(known_to_truth) or 'there is none'})",
+                expected=f"one with ground-truth transforms ({', '.join(known_to_truth) or 'there is none'})",
                 got=got,
             )
     if not known_to_truth:
         raise UsageError(
             dataset.root,
             "",
-            expected="a demonstration whose truth knows where the objects are",
+            expected="a demonstration with ground-truth poses of its objects",
             got="none",
             fix=f"bask-data ingest sim {shlex.quote(str(dataset.root))} --task lid --scans 0 --demonstrations 5",
         )
@@ -60,44 +60,44 @@ def demonstrations_with_truth(dataset: Dataset, asked: Sequence[str]) -> list[st
 def by_objects(
     dataset: Dataset, demonstrations: Sequence[str], wanted: Sequence[str]
 ) -> dict[tuple[str, ...], list[str]]:
-    """Demonstrations by the objects that are tracked in them: all they have, or those wanted.
+    """Demonstrations by the objects that are tracked in them: all of theirs, or those wanted.
 
     Raises:
-        UsageError: one that is wanted is in none of them.
+        UsageError: a wanted object is in none of them.
     """
-    found: dict[tuple[str, ...], list[str]] = {}
-    there: set[str] = set()
+    groups: dict[tuple[str, ...], list[str]] = {}
+    existing: set[str] = set()
     for name in demonstrations:
-        one = whole(dataset, name)
-        objects = _objects_of(one.truth) if one else ()
-        there.update(objects)
-        mine = tuple(body for body in objects if body in wanted or not wanted)
-        if mine:
-            found.setdefault(mine, []).append(name)
-    unknown = [one for one in wanted if one not in there]
+        source = whole(dataset, name)
+        objects = _objects_of(source.truth) if source else ()
+        existing.update(objects)
+        tracked = tuple(body for body in objects if body in wanted or not wanted)
+        if tracked:
+            groups.setdefault(tracked, []).append(name)
+    unknown = [body for body in wanted if body not in existing]
     if unknown:
-        expected = f"of the objects {', '.join(sorted(there))}"
+        expected = f"one of the objects {', '.join(sorted(existing))}"
         raise UsageError(dataset.root, "--objects", expected=expected, got=", ".join(unknown))
-    return found
+    return groups
 
 
 class Whole(NamedTuple):
-    """A recording and its truth, exact depth and cameras included."""
+    """A recording and its ground truth, including exact depth and cameras."""
 
     recording: Recording
     truth: Truth
 
 
 def whole(dataset: Dataset, name: str) -> Whole | None:
-    """A recording with all there is to know of it; None where frames or truth are missing."""
-    one = known(dataset, name)
-    if one is None or one.recording is None or one.truth is None or not one.truth.has_depth:
+    """A recording with exact ground truth; None if frames or ground truth are missing."""
+    source = known(dataset, name)
+    if source is None or source.recording is None or source.truth is None or not source.truth.has_depth:
         return None
-    return Whole(one.recording, one.truth)
+    return Whole(source.recording, source.truth)
 
 
 def _objects_of(truth: Truth) -> tuple[str, ...]:
-    """Names of the objects whose transforms truth knows, by label."""
+    """Names of the objects with ground-truth transforms, in the order of their labels."""
     names = truth.label_names
     return tuple(names[label] for label in sorted(object_poses(truth)) if label in names and label != ROBOT)
 
@@ -114,16 +114,15 @@ def points_to_track(
     pick_in: Sequence[str] = (),
     cameras: Sequence[str] = (),
 ) -> list[Pick]:
-    """Points on these objects: the picks of a variant of `reference`, or else n of one frame, as equally many on each
-    object as can be and spread over it.
+    """Points on these objects: the picks of a variant of `reference`, or else n of one frame, shared equally among the
+    objects and spread over each.
 
     Args:
-        pick_in: recordings, the first of which that shows all of the objects is picked in; by default scans that
-            networks learn from.
-        cameras: that are picked in, where the recording has one of them; by default all.
+        pick_in: recordings, of which the first that shows all of the objects is used; by default the training scans.
+        cameras: to pick in, if the recording has any of them; by default all.
 
     Raises:
-        UsageError: no pick of the variant is on the objects, no recording shows them, or is there.
+        UsageError: no pick of the variant is on the objects, no recording shows them, or one does not exist.
     """
     if reference:
         return _picks_of(dataset, reference, objects)
@@ -131,7 +130,7 @@ def points_to_track(
     for name in pick_in:
         if name not in dataset.items("recording"):
             known_names = ", ".join(dataset.items("recording"))
-            raise UsageError(dataset.root, "--pick-in", expected=f"of {known_names}", got=name)
+            raise UsageError(dataset.root, "--pick-in", expected=f"one of {known_names}", got=name)
     for recording in pick_in or learned_scenes(dataset):
         one = whole(dataset, recording)
         if one is None or not {*objects} <= {*_objects_of(one.truth)}:
@@ -144,14 +143,14 @@ def points_to_track(
                 if best is None or n_least > best[0]:
                     best = n_least, one, camera, i
         if best is not None and best[0] > 0:
-            break  # One recording is enough, and a frame of it is what somebody would pick in.
+            break  # One recording is enough: a person would pick in one frame, too.
     if best is None or best[0] == 0:
         raise UsageError(
             dataset.root,
             "",
-            expected=f"a frame with truth that shows {', '.join(objects)}, to pick keypoints in",
-            got=f"none in {', '.join(pick_in) or 'the scans that networks learn from'}",
-            fix="name another recording, --pick-in NAME, or give picks of your own, --reference VARIANT.",
+            expected=f"a frame with ground truth that shows {', '.join(objects)}, to pick keypoints in",
+            got=f"none in {', '.join(pick_in) or 'the training scans'}",
+            fix="choose another recording with --pick-in NAME, or your own picks with --reference VARIANT.",
         )
     return _spread_picks(objects, *best[1:], n, seed)
 
@@ -170,7 +169,7 @@ def _picks_of(dataset: Dataset, variant: str, objects: Sequence[str]) -> list[Pi
 
 
 def _n_of_the_smallest(truth: Truth, camera: Camera, i_frame: int, labels: Sequence[int]) -> float:
-    """Pixels of the object that a frame shows least of."""
+    """Pixels of the object with the fewest pixels in a frame."""
     import numpy as np
 
     return float(np.bincount(truth.instance(camera.name, i_frame).ravel(), minlength=256)[list(labels)].min())
@@ -201,17 +200,17 @@ def _spread_picks(objects: Sequence[str], one: Whole, camera: Camera, i_frame: i
     return picks
 
 
-# Truth ---------------------------------------------------------------------------------------------------------------
+# Ground truth --------------------------------------------------------------------------------------------------------
 
 
 def true_tracks(dataset: Dataset, picks: Sequence[Pick], demonstration: str) -> np.ndarray:
-    """Where picked points are in each frame of a demonstration (t, k, 3), metres, world; NaN where that is not known.
+    """Ground truth of picked points in each frame of a demonstration (t, k, 3), metres, world frame; NaN where unknown.
 
-    A point of a round object cannot be told by the object alone. Which of its points is meant is said by what the
-    object touches in the first frames of both recordings: the one at the same place of that.
+    The pose of a round object does not determine its points. They are taken at the same position relative to what the
+    object touches in the first frames of both recordings.
     """
     recordings, here = known_of(dataset, picks, demonstration), whole(dataset, demonstration)
-    assert here is not None, "asked only where there is truth"
+    assert here is not None, "only demonstrations with ground truth are studied"
     points = points_on_objects(picks, recordings)
     points = _turned_with_neighbours(points, picks, recordings, here.truth)
     return carried(points, here.truth, max(camera.n_frames for camera in here.recording.cameras))
@@ -232,7 +231,7 @@ def _turned_with_neighbours(
         if neighbour_here not in poses_here or mine_here not in poses_here:
             continue
         poses = object_poses(there)
-        # Wherever it has been carried by the frame of the pick.
+        # From the first frames, whatever has moved the object by the frame of the pick.
         neighbour_from_mine = invert_rigid(poses[neighbour][0]) @ poses[label][0]
         mine_from_neighbour = invert_rigid(poses_here[mine_here][0]) @ poses_here[neighbour_here][0]
         placed[i] = transform(mine_from_neighbour @ neighbour_from_mine, placed[i])
@@ -240,7 +239,7 @@ def _turned_with_neighbours(
 
 
 def _touched(truth: Truth, label: int) -> int:
-    """The first object that one touches; -1 without any."""
+    """The label of the first object that touches this one; -1 without any."""
     others = [b if a == label else a for a, b in truth.touching if label in (a, b)]
     known_to_truth = object_poses(truth)
     return next((other for other in others if other in known_to_truth), -1)

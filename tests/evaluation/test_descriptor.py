@@ -137,7 +137,7 @@ def test_rotation_is_that_of_the_colours_around(candidates: list) -> None:
     assert np.degrees(np.quantile(errors, 0.95)) < 5
 
 
-def test_half_of_the_pairs_are_drawn_blindly_and_the_others_fill_bins(candidates: list) -> None:
+def test_half_of_the_pairs_are_random_and_the_others_fill_bins(candidates: list) -> None:
     spread = spread_pairs(candidates, 30, 0)
     assert len(spread) == len({(pair.a, pair.b) for pair in spread}) == 30
     assert sum(pair.is_random for pair in spread) == 15
@@ -156,7 +156,7 @@ def test_half_of_the_pairs_are_drawn_blindly_and_the_others_fill_bins(candidates
     assert spread_pairs([], 30, 0) == []
 
 
-def test_pairs_to_be_turned_are_alike_already(candidates: list) -> None:
+def test_pairs_to_be_turned_are_similar_already(candidates: list) -> None:
     pairs = alike_pairs(candidates, 3, 0)
     assert 0 < len(pairs) <= 3
     for pair in pairs:
@@ -193,11 +193,11 @@ def test_a_network_that_knows_every_point_finds_it_at_any_scale_rotation_and_occ
     assert min(told["by_rotation"][name]["n"] for name in BINS["rotation"]) > 10
 
 
-def test_the_temperature_at_which_heat_maps_are_truest_is_told(found: dict) -> None:
+def test_the_best_calibrated_temperature_is_reported(found: dict) -> None:
     for told in found["variants"].values():
         true = told["calibration"]
         assert true["truest_ece"] <= true["ece"]
-    # Who knows nothing but places promises little only where it tells none apart.
+    # A network that knows positions only is calibrated best where its heat maps are flattest.
     assert found["variants"]["blind"]["calibration"]["truest_alpha"] == 1.0
 
 
@@ -226,7 +226,7 @@ def test_curves_of_all_and_of_each_bin_agree_with_their_figures(found: dict) -> 
                 assert above == pytest.approx(figures["area_error_share"], abs=0.02)
 
 
-def test_variants_are_held_against_the_same_matches(found: dict) -> None:
+def test_variants_are_measured_on_the_same_matches(found: dict) -> None:
     main, blind = found["variants"].values()
     assert [one["n"] for one in main["by_rotation"].values()] == [one["n"] for one in blind["by_rotation"].values()]
     assert main["by_turn"]["90"]["n"] == blind["by_turn"]["90"]["n"] > 0
@@ -287,7 +287,7 @@ def test_an_image_is_moved_with_its_pixels() -> None:
 # Keypoints of one view ------------------------------------------------------------------------------------------------
 
 
-def test_keypoints_are_found_by_who_knows_every_point_of_an_object(found: dict) -> None:
+def test_a_network_that_knows_every_point_finds_keypoints(found: dict) -> None:
     [row] = found["variants"]["main"]["keypoints"].values()
     assert list(row) == ["training", "unseen view"]
     # The view they were picked in is none of those they are looked for in.
@@ -320,9 +320,9 @@ def test_keypoints_are_looked_for_on_other_instances_at_the_same_share_of_their_
     assert row["larger"]["seen"] > 50
 
 
-def test_only_truth_that_knows_where_objects_are_is_searched_for_keypoints(shared: Dataset, tmp_path: Path) -> None:
+def test_only_scenes_with_ground_truth_transforms_are_searched_for_keypoints(shared: Dataset, tmp_path: Path) -> None:
     other = Dataset.create(tmp_path / "empty")
-    with pytest.raises(UsageError, match="--against: expected scenes whose truth knows transforms, got none"):
+    with pytest.raises(UsageError, match="--against: expected scenes with ground-truth transforms, got none"):
         evaluated_descriptor(shared, settings=DescriptorSettings(pairs=1, keypoints=4), against={"other": other})
 
 
@@ -358,13 +358,13 @@ def test_scenes_that_a_network_learned_from_before_the_split_changed_are_not_hel
     dataset = described_dataset(tmp_path / "d", SCENES)
     publish_network(dataset, "old", learned_from=("b", "c"))
     dataset.set_splits(Splits(test=("c",)))
-    expected = r"descriptor/old: c: expected scenes that the network was not trained on, got some that it was"
+    expected = r"descriptor/old: c: expected scenes that the network was not trained on, got training scenes: the split"
     with pytest.raises(UsageError, match=expected):
         held_out(dataset, ["main", "old"])
     assert held_out(dataset, ["main"]).scenes == ("c",)
 
 
-def test_keypoints_of_held_out_frames_are_told_apart_from_those_trained_on(tmp_path: Path) -> None:
+def test_keypoints_of_held_out_frames_are_distinguished_from_those_trained_on(tmp_path: Path) -> None:
     dataset = described_dataset(tmp_path / "d", {"a": boxes(0)})
     publish_network(dataset, held_out=0.25)
     found = evaluated_descriptor(dataset, settings=DescriptorSettings(pairs=4, keypoints=6))
@@ -373,7 +373,7 @@ def test_keypoints_of_held_out_frames_are_told_apart_from_those_trained_on(tmp_p
     assert [told["views"] for told in row.values()] == [8, 3]
 
 
-def test_what_is_missing_is_told(tmp_path: Path) -> None:
+def test_what_is_missing_is_an_error(tmp_path: Path) -> None:
     dataset = described_dataset(tmp_path / "d", {"a": boxes(0)})
     with pytest.raises(UsageError, match="--scenes: expected one of a, got z"):
         held_out(dataset, ["main"], ["z"])
@@ -387,17 +387,17 @@ def test_what_is_missing_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("alpha", [-1.0, float("inf"), float("nan")])
-def test_what_is_no_temperature_is_refused(shared: Dataset, alpha: float) -> None:
+def test_an_invalid_temperature_is_refused(shared: Dataset, alpha: float) -> None:
     with pytest.raises(UsageError, match="--alpha: expected a finite number, 0 or more, got"):
         evaluated_descriptor(shared, settings=DescriptorSettings(alpha=alpha))
 
 
-def test_a_network_that_does_not_load_is_told(shared: Dataset) -> None:
+def test_a_network_that_does_not_load_is_an_error(shared: Dataset) -> None:
     with pytest.raises(BadData, match="descriptor/main: expected a network that loads, got .*make it again"):
         LOADED(shared, "main")
 
 
-def test_a_network_of_an_older_version_or_with_a_damaged_manifest_is_told(tmp_path: Path) -> None:
+def test_a_network_of_an_older_version_or_with_a_damaged_manifest_is_an_error(tmp_path: Path) -> None:
     dataset = described_dataset(tmp_path / "d", {"a": boxes(0)})
     manifest = dataset.path(DescriptorNet) / "artifact.json"
     now = DescriptorNet.schema_version
@@ -411,14 +411,14 @@ def test_a_network_of_an_older_version_or_with_a_damaged_manifest_is_told(tmp_pa
         held_out(dataset, ["main"])
 
 
-def test_a_dataset_without_a_scene_to_measure_on_is_told(tmp_path: Path) -> None:
+def test_a_dataset_without_a_scene_to_measure_on_is_an_error(tmp_path: Path) -> None:
     dataset = Dataset.create(tmp_path / "d")
     publish_network(dataset)
     with pytest.raises(UsageError, match="splits: expected a scene to measure on, got none"):
         held_out(dataset, ["main"])
 
 
-def test_frames_that_share_nothing_are_told(tmp_path: Path) -> None:
+def test_frames_that_share_nothing_are_an_error(tmp_path: Path) -> None:
     dataset = described_dataset(tmp_path / "d", {"a": boxes(0)})
     publish_network(dataset, held_out=1 / N_FRAMES)
     with pytest.raises(UsageError, match="expected frames that see the same objects, got none in held-out frames"):
@@ -445,7 +445,7 @@ def test_where_no_two_held_out_frames_are_joined_pairs_of_one_may_be_measured_an
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> tuple[Dataset, dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]]:
-    """A scene without truth: the same images with right cameras, masks and matches."""
+    """A scene without truth: the same images with correct cameras, masks and matches."""
     from tests.datasets import publish_recording
 
     scene, poses = SCENES["a"], cameras(0)
@@ -577,20 +577,25 @@ def test_the_command_prints_tables_for_people_and_everything_for_scripts(
     }
     shown = CliRunner().invoke(app, command[:-1])
     told = found["variants"]["blind"]
-    words = ["measured on held-out scenes (test): c", "c: matches by exact depth and cameras", "by rotation", "by turn"]
+    words = [
+        "measured on held-out scenes (test): c",
+        "c: matches from exact depth and cameras",
+        "by rotation",
+        "by turn",
+    ]
     keypoints = told["keypoints"]["carton+tin"]["unseen view"]
     words.append(
         f"unseen view                  {keypoints['mean']:.3f} +- {keypoints['std']:.3f}  ({keypoints['seen']}, "
     )
     true = told["calibration"]
-    words.append(f"is so differ by {100 * true['ece']:.1f} % (ECE) at alpha 4; by {100 * true['truest_ece']:.1f} % at")
+    words.append(f"(ECE) of blind: {100 * true['ece']:.1f} % at alpha 4; best {100 * true['truest_ece']:.1f} % at")
     words.append(f" % at alpha {true['truest_alpha']:g}\n")
     words.append(f"{100 * told['by_turn']['90']['pck_8']:9.1f}")
     for one in words:
         assert one in shown.stdout
 
 
-def test_a_dataset_to_hold_against_needs_a_name(shared: Dataset) -> None:
+def test_a_dataset_to_compare_with_needs_a_name(shared: Dataset) -> None:
     shown = CliRunner().invoke(app, ["evaluate", "descriptor", str(shared.root), "--against", "elsewhere"])
     assert shown.exit_code == UsageError.exit_code
     assert "--against: expected NAME=ROOT, got elsewhere" in shown.stderr

@@ -56,7 +56,7 @@ def test_the_reference_descriptors_of_a_network_s_own_variant_are_taken_as_they_
     np.testing.assert_array_equal(finder.descriptors, np.eye(2, 8))
 
 
-def test_points_of_images_that_are_not_there_are_not_described(dataset):
+def test_picks_in_missing_frames_have_no_descriptor(dataset):
     known = picks_of(dataset)[0]
     strange = [
         known,
@@ -89,7 +89,7 @@ def test_a_network_that_does_not_load_or_fit_is_named(filled: Dataset, tmp_path)
         Finder(dataset, "main", descriptor, picks)
 
 
-def test_a_variant_of_tracks_alone_is_seen_with_the_network_it_was_made_with(filled: Dataset, tmp_path):
+def test_a_variant_of_tracks_alone_uses_the_network_it_was_made_with(filled: Dataset, tmp_path):
     dataset = copied(filled, tmp_path / "d")
     assert network_of(dataset, "main") is None
     publish_network(dataset)

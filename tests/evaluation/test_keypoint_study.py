@@ -124,7 +124,7 @@ def found(dataset: Dataset) -> dict:
         return evaluated_keypoints(dataset, ("main", "blind"), StudySettings(n_keypoints=6))
 
 
-def test_with_a_perfect_network_every_filter_is_right_while_it_sees(found: dict) -> None:
+def test_with_a_perfect_network_every_filter_is_accurate_while_it_sees(found: dict) -> None:
     methods = found["groups"]["carton+tin"]["methods"]
     assert list(methods) == [
         "blind: expectation",
@@ -156,13 +156,13 @@ def test_single_frames_have_their_best_match_as_mode(found: dict) -> None:
     assert single["apart"]["visible"]["mean"] < flat["apart"]["visible"]["mean"]
 
 
-def test_what_is_out_of_view_only_a_filter_with_memory_knows(found: dict) -> None:
+def test_only_a_filter_with_memory_knows_keypoints_out_of_view(found: dict) -> None:
     error = {name: one["error"] for name, one in found["groups"]["carton+tin"]["methods"].items()}
     assert error["main: particle"]["out of view"]["median"] < 0.03
     assert error["main: expectation"]["out of view"]["median"] > 0.2
 
 
-def test_phases_and_figures_are_those_of_the_true_places(dataset: Dataset, found: dict) -> None:
+def test_phases_and_figures_are_those_of_ground_truth(dataset: Dataset, found: dict) -> None:
     group = found["groups"]["carton+tin"]
     picks = [Pick(**{key: one[key] for key in one if key != "object"}) for one in group["keypoints"]]
     assert [one["object"] for one in group["keypoints"]] == ["carton"] * 3 + ["tin"] * 3
@@ -185,13 +185,13 @@ def test_phases_and_figures_are_those_of_the_true_places(dataset: Dataset, found
 
 
 @pytest.mark.parametrize("name", ["default", "paper", "code"])
-def test_settings_without_a_limit_are_told_as_null(name: str) -> None:
+def test_settings_without_a_limit_are_null(name: str) -> None:
     told = [plain_settings(method.settings) for method in methods_of({"main": 1.0}, name)]
     json.dumps(told, allow_nan=False)
     assert told[-1]["gripper_reach"] == (0.15 if name == "default" else None)
 
 
-def test_true_places_ride_on_their_objects(dataset: Dataset) -> None:
+def test_true_points_move_with_their_objects(dataset: Dataset) -> None:
     picks = points_to_track(dataset, ["carton", "tin"], 4, "", 0)
     scan = Truth(dataset.path(Truth, "scan"))
     places = true_tracks(dataset, picks, "demo-a")
@@ -251,7 +251,7 @@ def test_a_point_of_a_round_object_may_be_picked_after_that_was_carried_away(tmp
     np.testing.assert_allclose(true_tracks(dataset, picked, "two"), places, atol=1e-6)
 
 
-def test_histograms_tell_matches_from_background(found: dict) -> None:
+def test_histograms_distinguish_matches_from_background(found: dict) -> None:
     counts = found["groups"]["carton+tin"]["distances"]["counts"]["main"]
     edges = np.array(found["groups"]["carton+tin"]["distances"]["edges"])
     middle = {name: np.average(np.sqrt(edges[1:] * edges[:-1]), weights=one) for name, one in counts.items()}
@@ -313,33 +313,36 @@ def test_what_is_studied_is_what_encode_makes(dataset: Dataset) -> None:
     ("asked", "message"),
     [
         ({"variants": ["none"]}, "--variant: expected one of main, blind"),
-        ({"demonstrations": ["none"]}, r"--demonstrations: expected of those with true transforms \(demo-a, demo-b\)"),
-        ({"objects": ["spoon"]}, "--objects: expected of the objects carton, tin, got spoon"),
-        ({"pick_in": ["none"]}, "--pick-in: expected of scan, demo-a, demo-b, got none"),
+        (
+            {"demonstrations": ["none"]},
+            r"--demonstrations: expected one with ground-truth transforms \(demo-a, demo-b\)",
+        ),
+        ({"objects": ["spoon"]}, "--objects: expected one of the objects carton, tin, got spoon"),
+        ({"pick_in": ["none"]}, "--pick-in: expected one of scan, demo-a, demo-b, got none"),
         ({"cameras": ["overhead"]}, "cameras: expected some of wrist, got overhead"),
     ],
 )
-def test_what_is_not_there_is_said_with_what_is(dataset: Dataset, asked: dict, message: str) -> None:
+def test_what_does_not_exist_is_reported_with_the_choices(dataset: Dataset, asked: dict, message: str) -> None:
     variants = asked.get("variants", ["main"])
     settings = StudySettings(**{name: value for name, value in asked.items() if name != "variants"})
     with pytest.raises(UsageError, match=message):
         evaluated_keypoints(dataset, variants, settings)
 
 
-def test_without_truth_or_a_scan_to_pick_in_there_is_no_study(tmp_path: Path) -> None:
+def test_without_ground_truth_or_a_scan_to_pick_in_there_is_no_study(tmp_path: Path) -> None:
     dataset = described_dataset(tmp_path / "d", {"scan": boxes(0)})
-    with pytest.raises(UsageError, match="expected a demonstration whose truth knows where the objects are, got none"):
+    with pytest.raises(UsageError, match="expected a demonstration with ground-truth poses of its objects, got none"):
         evaluated_keypoints(dataset)
     publish_demonstration(dataset, "demo")
     dataset.set_splits(Splits(test=("scan",)))
     with pytest.raises(
         UsageError,
-        match="expected a frame with truth that shows carton, tin, to pick keypoints in, got none in the scans",
+        match="expected a frame with ground truth that shows carton, tin, to pick keypoints in, got none in the train",
     ):
         evaluated_keypoints(dataset)
 
 
-def test_a_kept_study_is_current_until_what_it_measured_changes(dataset: Dataset, found: dict) -> None:
+def test_a_saved_study_is_current_until_what_it_measured_changes(dataset: Dataset, found: dict) -> None:
     path = save_study(dataset, found)
     assert path == dataset.root / FILE
     kept = json.loads(path.read_text())
@@ -351,7 +354,7 @@ def test_a_kept_study_is_current_until_what_it_measured_changes(dataset: Dataset
     assert [one.name for one in path.parent.iterdir()] == ["keypoints.json"]
 
 
-def test_figures_are_drawn_and_the_same_each_time(dataset: Dataset, found: dict, tmp_path: Path) -> None:
+def test_figures_are_drawn_and_deterministic(dataset: Dataset, found: dict, tmp_path: Path) -> None:
     files = write_pictures(dataset, found, tmp_path / "a")
     assert [file.name for file in files] == ["carton+tin.png", "carton+tin-likelihood.png"]
     assert sorted(one.name for one in (tmp_path / "a").iterdir()) == sorted(file.name for file in files)
@@ -371,7 +374,7 @@ def test_a_figure_of_missing_frames_is_an_error(dataset: Dataset, found: dict, t
         write_pictures(dataset, lost, tmp_path)
 
 
-def test_the_command_says_and_keeps_what_it_found(dataset: Dataset, tmp_path: Path) -> None:
+def test_the_command_prints_and_saves_the_study(dataset: Dataset, tmp_path: Path) -> None:
     arguments = [str(dataset.root), "--demonstrations", "demo-a", "--objects", "tin", "--keypoints", "2", "--json"]
     answer = CliRunner().invoke(
         app, ["evaluate", "keypoints", *arguments, "--pictures", str(tmp_path)], catch_exceptions=False

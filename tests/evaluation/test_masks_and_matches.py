@@ -66,7 +66,7 @@ def publish_masks(dataset: Dataset, instance: np.ndarray, n_instances: int) -> N
     publish_artifact(dataset, VisibleMasks, "table", fill)
 
 
-def test_bodies_that_touch_are_held_against_one_instance(dataset: Dataset) -> None:
+def test_touching_objects_are_compared_with_one_instance(dataset: Dataset) -> None:
     instance = np.zeros((HEIGHT, WIDTH), np.uint8)
     instance[10:30, 5:25], instance[10:20, 40:48] = 2, 1
     publish_masks(dataset, instance, 2)
@@ -77,7 +77,7 @@ def test_bodies_that_touch_are_held_against_one_instance(dataset: Dataset) -> No
     assert found["all"] == {"counted": 1.0, "iou": 0.9, "worst": 0.8, "on_robot": 0.0}
 
 
-def test_an_instance_too_many_is_a_wrong_count(dataset: Dataset) -> None:
+def test_an_extra_instance_makes_the_count_incorrect(dataset: Dataset) -> None:
     publish_masks(dataset, np.minimum(labels(), 3), 3)
     assert evaluated_masks(dataset)["all"]["counted"] == 0.0
 
@@ -93,8 +93,8 @@ def test_mask_pixels_on_the_robot_are_counted(dataset: Dataset) -> None:
     ]
 
 
-def test_a_scene_without_masks_is_told(dataset: Dataset) -> None:
-    with pytest.raises(UsageError, match="expected a scene with truth and masks, got none"):
+def test_a_scene_without_masks_is_an_error(dataset: Dataset) -> None:
+    with pytest.raises(UsageError, match="expected a scene with ground truth and masks, got none"):
         evaluated_masks(dataset)
     with pytest.raises(UsageError, match="--only: expected one of table, got chair"):
         evaluated_masks(dataset, ["chair"])
@@ -154,7 +154,7 @@ def publish_matches(dataset: Dataset, uv_a: np.ndarray, uv_b: np.ndarray) -> Non
     publish_artifact(dataset, Correspondences, "ball", fill)
 
 
-def test_matches_are_held_against_the_exact_cameras(ball: Dataset) -> None:
+def test_matches_are_compared_with_exact_cameras(ball: Dataset) -> None:
     K = intrinsics(HEIGHT, WIDTH)
     view = SCENE.render(K, CAMERAS[0], HEIGHT, WIDTH)
     v, u = np.nonzero(view.instance)
@@ -165,7 +165,7 @@ def test_matches_are_held_against_the_exact_cameras(ball: Dataset) -> None:
     row, column = np.rint(uv_b[:, 1]).astype(int), np.rint(uv_b[:, 0]).astype(int)
     hidden = z > shown.depth[row, column] + 0.02
     assert 0 < hidden.sum() < len(hidden)
-    uv_b[:: len(uv_b) - 1] += [1.5, 0.0]  # The first and the last are wrong by one and a half pixels.
+    uv_b[:: len(uv_b) - 1] += [1.5, 0.0]  # The first and the last are off by one and a half pixels.
     publish_matches(ball, uv_a, uv_b)
     figures = evaluated_correspondences(ball)["all"]
     assert figures["matches"] == len(uv_a)
@@ -174,7 +174,7 @@ def test_matches_are_held_against_the_exact_cameras(ball: Dataset) -> None:
     assert figures["hidden"] == hidden.sum()
 
 
-def test_labels_alone_are_no_truth_for_matches(ball: Dataset) -> None:
+def test_labels_alone_are_no_ground_truth_for_matches(ball: Dataset) -> None:
     publish_matches(ball, np.zeros((0, 2)), np.zeros((0, 2)))
     assert evaluated_correspondences(ball)["all"]["median_px"] is None
     publish_artifact(
@@ -196,4 +196,4 @@ def test_commands_print_figures_for_people_and_scripts(dataset: Dataset, ball: D
     assert "pot+lid" in CliRunner().invoke(app, ["evaluate", "masks", str(dataset.root)]).stdout
     missing = CliRunner().invoke(app, ["evaluate", "correspondences", str(ball.root)])
     assert missing.exit_code == UsageError.exit_code
-    assert "expected a scene with truth and correspondences, got none.  fix: bask-data run" in missing.stderr
+    assert "expected a scene with ground truth and correspondences, got none.  fix: bask-data run" in missing.stderr

@@ -75,7 +75,7 @@ def test_a_point_is_where_the_cameras_and_poses_of_objects_put_it(dataset):
     assert {SEEN, BEHIND} <= found
 
 
-def test_a_point_outside_the_image_is_said_to_be_so(dataset):
+def test_a_point_outside_the_image_is_out_of_view(dataset):
     picks = [picks_of(dataset)[0].model_copy(update={"point_world": (9.0, 0.0, 0.0)})]
     told = TruePlaces(dataset, picks, "scan-a").pixels(camera_of(dataset, "scan-a"), 0)
     assert told.states == [OUTSIDE]
@@ -96,7 +96,7 @@ def test_objects_are_known_by_their_names_not_their_numbers(filled: Dataset, tmp
     np.testing.assert_allclose(places[0], true_places(scan, demonstration), atol=1e-3)
 
 
-def test_objects_that_move_take_their_points_along(filled: Dataset, tmp_path):
+def test_points_move_with_their_objects(filled: Dataset, tmp_path):
     dataset = copied(filled, tmp_path / "d")
     scan, demonstration = make_views(0.3, 6), make_views(0.8, 5)
     poses = np.tile(np.stack(demonstration.world_from_boxes), (5, 1, 1, 1))
@@ -123,7 +123,7 @@ def test_objects_that_move_take_their_points_along(filled: Dataset, tmp_path):
         np.testing.assert_allclose(told.uv, expected, atol=0.05)
 
 
-def test_what_is_not_known_is_said_so(filled: Dataset, tmp_path):
+def test_points_without_ground_truth_are_unknown(filled: Dataset, tmp_path):
     dataset = copied(filled, tmp_path / "d")
     seen = make_views(0.8, 5)
     labels = {"wrist": (5, (HEIGHT, WIDTH), seen.labels)}

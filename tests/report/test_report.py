@@ -275,7 +275,7 @@ def test_labels_without_poses_give_the_share_alone(tmp_path):
     )
     numbers = summarise(dataset)["keypoints"]["main"]["demo-a"]
     assert numbers["error_m"]["n"] == 0
-    assert numbers["why_no_error"] == "the ground truth of this demonstration does not say where its objects stand"
+    assert numbers["why_no_error"] == "the ground truth of this demonstration has no poses of its objects"
     assert numbers["on_object"]["n"] == 10
 
 
@@ -390,7 +390,7 @@ def frames_that_show(dataset: Dataset, name: str, indices: list[int]) -> list[in
     (camera,) = recording.cameras
     places = TruePlaces(dataset, picks_of(dataset), name)
     n_seen = {
-        i: sum(places.pixels(camera, i).states[j] == "seen" for j in indices)
+        i: sum(places.pixels(camera, i).states[j] == "visible" for j in indices)
         for i in range(camera.n_frames)
         if (name, i) != ("scan-a", 2)
     }

@@ -428,10 +428,10 @@ def test_each_keypoint_has_its_heat_map_best_match_and_ground_truth(described, t
                     assert (true, lines) == ([], [])
                     continue
                 np.testing.assert_allclose(true, [truth.uv[i] + 0.5], atol=1e-3)
-                assert len(lines) == (truth.states[i] == "seen")
+                assert len(lines) == (truth.states[i] == "visible")
                 if lines:
                     np.testing.assert_allclose(lines[0], [best, true[0]], atol=1e-3)
-    assert {"seen", "hidden"} <= states
+    assert {"visible", "occluded"} <= states
     reference = saved.all("/scan-a/heat/reference", "EncodedImage:blob")[None]
     assert cv2.imdecode(np.array(reference[0], np.uint8), cv2.IMREAD_COLOR).shape == (480, 640, 3)
 
