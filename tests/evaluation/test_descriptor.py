@@ -525,7 +525,7 @@ def test_a_match_without_depth_has_a_scale_and_a_rotation_all_the_same(recorded:
         assert np.isfinite(pair.scale).all() and np.isfinite(pair.rotation).all()
         assert np.median(np.abs(pair.scale - one.scale)) < 0.02
         assert np.median(np.abs(pair.rotation - one.rotation)) < 0.1
-        # How far off a find is in space is told only where the true point was measured.
+        # The 3D error of a best match is known only where the depth of the true point was measured.
         assert np.isnan(pair.points_b[:, 2]).any()
 
 

@@ -122,7 +122,7 @@ def ball(tmp_path: Path) -> Dataset:
         rgb=[view.rgb for view in views],
         depth=[view.depth for view in views],
         K=K,
-        # The recording's own cameras are wrong, and must not be what matches are held against.
+        # The recording's own cameras are inaccurate, and must not be what matches are compared with.
         world_from_cameras=np.stack([np.eye(4)] * 2),
     )
 
