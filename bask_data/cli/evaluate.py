@@ -147,7 +147,7 @@ def keypoints(
     from bask_data.evaluation import StudySettings, evaluated_keypoints
     from bask_data.evaluation.keypoint_study import save_study
     from bask_data.evaluation.tables import keypoint_tables
-    from bask_data.report.study import write_pictures
+    from bask_data.report.study_figure import write_pictures
 
     dataset = Dataset(root)
     with shown_progress():

@@ -21,7 +21,8 @@ from bask_data.evaluation.tables import keypoint_tables
 from bask_data.evaluation.tracked_points import ROUND, points_to_track, true_tracks
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Scan, Truth
 from bask_data.kinds.truth import TruthMetadata
-from bask_data.report.study import method_colours, write_pictures
+from bask_data.report.study_figure import write_pictures
+from bask_data.report.study_style import method_colours
 from bask_data.stages.encode import encode
 from tests.datasets import publish_artifact, publish_recording
 from tests.described import HALF, HEIGHT, NAMES, WIDTH, K, boxes, coded, described_dataset, publish_network, standing
