@@ -143,16 +143,17 @@ class OpenDataset:
         )
 
     def run(
-        self, stage: str, only: str | Sequence[str] = (), variant: str = "main", force: bool = False, **params: Any
+        self, stage: str = "", only: str | Sequence[str] = (), variant: str = "main", force: bool = False, **params: Any
     ) -> Outcomes:
-        """Make what one stage has to make, as `bask-data STAGE` does, and show how it goes on stderr.
+        """Make what is missing or stale, as `bask-data run` or `bask-data STAGE` does, and show how it goes on stderr.
 
         A parameter that is not given is as the dataset has it, in its params.yaml or from an earlier request. What is
         given is recorded with the dataset.
 
         Args:
+            stage: the only one to run; by default all run, in order, for every variant that the dataset lists.
             only: names of scenes or demonstrations; by default all.
-            variant: name of the result, where there are to be several.
+            variant: name of the stage's result, where there are to be several.
             force: make again what is up to date.
             params: the stage's, by name; and `descriptor="big"`, say, for the variant of an input.
 

@@ -59,22 +59,26 @@ def standings_of(dataset: Dataset, stages: str | Sequence[str], only: str | Sequ
 def made(
     dataset: Dataset, stage: str, only: str | Sequence[str], variant: str, force: bool, params: dict[str, Any]
 ) -> Outcomes:
-    """Make what one stage has to make, as its command does, and show how it goes on stderr.
+    """Make what one stage or all have to make, as the commands do, and show how it goes on stderr.
 
     Args:
-        params: of the stage; or `descriptor="big"`, the variant of an input that has some.
+        stage: its name; empty for all, with every variant that the dataset lists.
+        params: of the one stage; or `descriptor="big"`, the variant of an input that has some.
 
     Raises:
         UsageError: there is no such stage, recording or parameter, or an input is missing.
         BaskError: what the first task that failed raised, after the others.
     """
-    chosen = stage_named(dataset, stage)
-    with_variants = {given.artifact.kind for given in chosen.inputs if given.artifact.has_variants}
+    if not stage and (params or variant != "main"):
+        got, fix = f"{', '.join(params) or 'variant'} without a stage", 'ds.run("reconstruct", voxel_size=0.01)'
+        raise UsageError(dataset.root, "run", expected="parameters or a variant of a named stage", got=got, fix=fix)
+    inputs = stage_named(dataset, stage).inputs if stage else ()
+    with_variants = {given.artifact.kind for given in inputs if given.artifact.has_variants}
     request = _request(
         dataset,
-        stages=(stage,),
+        stages=_names(stage),
         only=_names(only),
-        variant=variant,
+        variant=variant if stage else None,
         variant_inputs={name: value for name, value in params.items() if name in with_variants},
         options={name: value for name, value in params.items() if name not in with_variants},
     )

@@ -14,7 +14,7 @@ from bask_data.artifact import read_manifest
 from bask_data.cli.app import app
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, UsageError
-from tests.tiny import write_recording
+from tests.tiny import PARAMS, write_recording
 
 SCAN = ("reconstruct", "objects", "masks")
 
@@ -64,6 +64,19 @@ def test_run_uses_and_records_parameters_as_the_command_does(root: Path, tmp_pat
     assert (forced.status, forced.digest) == ("made", outcome.digest)
 
 
+def test_run_without_a_stage_makes_whatever_is_missing(root: Path) -> None:
+    own = {name: PARAMS[name] for name in ("correspondences", "train", "reference")}
+    (root / "params.yaml").write_text(json.dumps(own))
+    outcomes = bask.open(root).run()
+    assert [(outcome.label, outcome.status) for outcome in outcomes] == [
+        *((f"{stage} table1", "up to date") for stage in SCAN),
+        ("correspondences table1", "made"),
+        ("train", "made"),
+        ("reference", "made"),
+    ]
+    assert {*statuses(bask.open(root).status()).values()} == {"up to date"}
+
+
 def test_status_says_what_the_command_says(root: Path) -> None:
     ds = bask.open(root)
     assert statuses(ds.status()) == {
@@ -104,6 +117,11 @@ def test_nothing_to_make_is_said(tmp_path: Path) -> None:
     ("asked", "message"),
     [
         (lambda ds: ds.run("mask"), "stage: expected one of reconstruct, .*, got mask.  fix: did you mean masks"),
+        (
+            lambda ds: ds.run(noise=1),
+            "run: expected parameters or a variant of a named stage, got noise without a stage",
+        ),
+        (lambda ds: ds.run(variant="big"), "run: expected parameters or a variant of .*, got variant without a stage"),
         (lambda ds: ds.status("mask"), "stage: expected one of reconstruct, .*, got mask"),
         (lambda ds: ds.status(only="table2"), "only: expected one of table1, got table2"),
         (lambda ds: ds.run("masks", noise=1), "masks: noise: expected no field of that name, got 1.  fix: one of "),
