@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 # Before NumPy or torch is loaded. One thread per worker: two workers share two cores, and results that depend on how a
@@ -48,13 +50,73 @@ hypothesis.settings.register_profile("thorough", deadline=None, max_examples=100
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE") or ("ci" if os.environ.get("CI") else "default"))
 
 
-@pytest.fixture(scope="session")
-def filled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dataset]:
-    """A dataset with everything but a network, for all tests to read; one that writes takes a copy of it, `copied`."""
-    from tests.report.filled import filled_dataset
+# Datasets that many tests read, built once per worker. A test that writes takes a copy: `tests.datasets.copied`.
 
-    dataset = filled_dataset(tmp_path_factory.mktemp("filled") / "dataset")
+
+@contextmanager
+def _untouched(dataset: Dataset) -> Iterator[Dataset]:
+    """The dataset, checked to be unchanged in the end."""
     before = {file: file.stat().st_mtime_ns for file in dataset.root.rglob("*")}
     yield dataset
     after = {file: file.stat().st_mtime_ns for file in dataset.root.rglob("*")}
     assert after == before, f"a test changed what all tests read: {sorted(before.items() ^ after.items())[:3]}"
+
+
+@pytest.fixture(scope="session")
+def two_scans(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dataset]:
+    """Scans `a` of two frames and `b` of three, of a few grey pixels each, and nothing made from them."""
+    from bask_data.dataset import Dataset
+    from tests.datasets import add_scan
+
+    dataset = Dataset.create(tmp_path_factory.mktemp("two_scans") / "table")
+    add_scan(dataset, "a")
+    add_scan(dataset, "b", n_frames=3)
+    with _untouched(dataset):
+        yield dataset
+
+
+@pytest.fixture
+def dataset(two_scans: Dataset, tmp_path: Path) -> Dataset:
+    """The test's own copy of `two_scans`."""
+    from tests.datasets import copied
+
+    return copied(two_scans, tmp_path / "table")
+
+
+@pytest.fixture(scope="session")
+def filled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dataset]:
+    """A scan `scan-a`, a demonstration `demo-a`, and everything made from them but a network."""
+    from tests.report.filled import filled_dataset
+
+    with _untouched(filled_dataset(tmp_path_factory.mktemp("filled") / "dataset")) as dataset:
+        yield dataset
+
+
+@pytest.fixture(scope="session")
+def filled_with_network(filled: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dataset]:
+    """`filled`, and an untrained network."""
+    from tests.datasets import copied
+    from tests.report.filled import publish_network
+
+    dataset = copied(filled, tmp_path_factory.mktemp("filled_with_network") / "dataset")
+    publish_network(dataset)
+    with _untouched(dataset):
+        yield dataset
+
+
+@pytest.fixture(scope="session")
+def learnable(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dataset]:
+    """Scans `a` and `b` with exact masks and matches: all that training needs."""
+    from tests.stages.learning import learning_dataset
+
+    with _untouched(learning_dataset(tmp_path_factory.mktemp("learnable") / "dataset", ("a", "b"))) as dataset:
+        yield dataset
+
+
+@pytest.fixture(scope="session")
+def pickable(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dataset]:
+    """Scans `a` and `b` with masks, a demonstration `lift` and an untrained network: all that picking needs."""
+    from tests.picker.pickable import pickable_dataset
+
+    with _untouched(pickable_dataset(tmp_path_factory.mktemp("pickable") / "dataset")) as dataset:
+        yield dataset

@@ -62,24 +62,24 @@ def run_pipeline(root: Path, views: list[View], K: np.ndarray, world_from_camera
 
 
 @pytest.fixture(scope="module")
-def dataset(
+def analytic(
     tmp_path_factory: pytest.TempPathFactory, views: list[View], K: np.ndarray, world_from_cameras: np.ndarray
 ) -> Dataset:
     return run_pipeline(tmp_path_factory.mktemp("analytic") / "d", views, K, world_from_cameras)
 
 
-def test_surface_is_within_half_a_voxel(dataset: Dataset, scene: Scene) -> None:
-    mesh = Reconstruction(dataset.path(Reconstruction, "table"))
+def test_surface_is_within_half_a_voxel(analytic: Dataset, scene: Scene) -> None:
+    mesh = Reconstruction(analytic.path(Reconstruction, "table"))
     distance = scene.surface_distance(mesh.vertices.astype(np.float64))
     assert np.median(distance) <= mesh.voxel_size / 2
 
 
-def test_every_object_is_found_and_nothing_else(dataset: Dataset) -> None:
-    assert len(ObjectInstances(dataset.path(ObjectInstances, "table")).instances) == N_OBJECTS
+def test_every_object_is_found_and_nothing_else(analytic: Dataset) -> None:
+    assert len(ObjectInstances(analytic.path(ObjectInstances, "table")).instances) == N_OBJECTS
 
 
-def test_visible_masks_are_the_true_ones(dataset: Dataset, views: list[View]) -> None:
-    camera = VisibleMasks(dataset.path(VisibleMasks, "table")).camera("wrist")
+def test_visible_masks_are_the_true_ones(analytic: Dataset, views: list[View]) -> None:
+    camera = VisibleMasks(analytic.path(VisibleMasks, "table")).camera("wrist")
     predicted = np.stack([camera.instance(i) for i in range(N_VIEWS)])
     truth = np.stack([view.instance for view in views])
     overlap = np.zeros((N_OBJECTS, N_OBJECTS))
@@ -94,9 +94,9 @@ def test_visible_masks_are_the_true_ones(dataset: Dataset, views: list[View]) ->
 
 
 def test_matches_show_the_same_point(
-    dataset: Dataset, views: list[View], K: np.ndarray, world_from_cameras: np.ndarray
+    analytic: Dataset, views: list[View], K: np.ndarray, world_from_cameras: np.ndarray
 ) -> None:
-    handle = Correspondences(dataset.path(Correspondences, "table"))
+    handle = Correspondences(analytic.path(Correspondences, "table"))
     matches = handle.matches()
     columns = {name: matches[name].to_numpy() for name in matches.column_names}
     pairs = handle.pairs()
@@ -132,9 +132,9 @@ def exact_depth(view: View, uv: np.ndarray) -> np.ndarray:
 
 
 def test_same_seed_gives_the_same_bytes(
-    dataset: Dataset, tmp_path: Path, views: list[View], K: np.ndarray, world_from_cameras: np.ndarray
+    analytic: Dataset, tmp_path: Path, views: list[View], K: np.ndarray, world_from_cameras: np.ndarray
 ) -> None:
     again = run_pipeline(tmp_path / "again", views, K, world_from_cameras)
     for kind in (Reconstruction, ObjectInstances, VisibleMasks, Correspondences):
-        digests = [read_manifest(each.path(kind, "table")).digest for each in (dataset, again)]
+        digests = [read_manifest(each.path(kind, "table")).digest for each in (analytic, again)]
         assert digests[0] == digests[1], kind.kind

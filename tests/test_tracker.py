@@ -28,19 +28,19 @@ def robot() -> Robot:
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> bask_data.dataset.Dataset:
+def reaching(tmp_path_factory: pytest.TempPathFactory) -> bask_data.dataset.Dataset:
     cameras = {"side": side_poses(), "wrist": poses()}
     return dataset_of(tmp_path_factory.mktemp("tracked") / "d", cameras, robot())
 
 
 @pytest.fixture
-def demonstration(dataset) -> Demonstration:
-    return Demonstration(dataset.path(Demonstration, "reach"))
+def demonstration(reaching) -> Demonstration:
+    return Demonstration(reaching.path(Demonstration, "reach"))
 
 
 @pytest.fixture
-def reference(dataset) -> ReferenceKeypoints:
-    return ReferenceKeypoints(dataset.path(ReferenceKeypoints))
+def reference(reaching) -> ReferenceKeypoints:
+    return ReferenceKeypoints(reaching.path(ReferenceKeypoints))
 
 
 def settings_of(filter: str) -> FilterSettings:

@@ -24,7 +24,7 @@ def cli(*arguments: object) -> Result:
 
 
 @pytest.fixture
-def dataset(tmp_path: Path) -> Dataset:
+def one_scan(tmp_path: Path) -> Dataset:
     dataset = Dataset.create(tmp_path / "table")
     add_scan(dataset, "a")
     return dataset
@@ -77,63 +77,63 @@ def test_json_is_the_only_output_on_stdout(tmp_path: Path) -> None:
         (["ingest", "frames", "{root}/none", "{root}", "--scene", "b"], 2, "SOURCE: expected a directory that exists"),
     ],
 )
-def test_errors_have_an_exit_code_and_a_fix(dataset: Dataset, arguments: list[str], code: int, message: str) -> None:
-    ended = cli(*[argument.format(root=dataset.root) for argument in arguments])
+def test_errors_have_an_exit_code_and_a_fix(one_scan: Dataset, arguments: list[str], code: int, message: str) -> None:
+    ended = cli(*[argument.format(root=one_scan.root) for argument in arguments])
     assert (ended.exit_code, message in ended.stderr) == (code, True), ended.stderr
 
 
-def test_interrupt_exits_with_130_and_says_how_to_continue(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_exits_with_130_and_says_how_to_continue(one_scan: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("bask_data.cli.stages.made", interrupted)
-    ended = cli("reconstruct", dataset.root)
+    ended = cli("reconstruct", one_scan.root)
     assert ended.exit_code == 130
     assert "run the same command again to continue" in ended.stderr
 
 
-def test_library_that_does_not_load_exits_with_5(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_library_that_does_not_load_exits_with_5(one_scan: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
     # An earlier test may have loaded it already: both the module and the package's name for it have to go.
     monkeypatch.delitem(sys.modules, "bask_data.core.tsdf", raising=False)
     monkeypatch.delattr(bask_data.core, "tsdf", raising=False)
-    ended = cli("reconstruct", dataset.root)
+    ended = cli("reconstruct", one_scan.root)
     assert ended.exit_code == 5
     assert "fix: bask-data doctor" in ended.stderr
 
 
-def test_dry_run_shows_what_would_be_made_and_why_and_makes_nothing(dataset: Dataset) -> None:
-    ended = cli("run", dataset.root, "--dry-run", "--json")
+def test_dry_run_shows_what_would_be_made_and_why_and_makes_nothing(one_scan: Dataset) -> None:
+    ended = cli("run", one_scan.root, "--dry-run", "--json")
     outcomes = json.loads(ended.stdout)["outcomes"]
     assert outcomes[0]["label"] == "reconstruct a"
     assert {outcome["status"] for outcome in outcomes} == {"would make"}
     assert outcomes[1]["why"] == "after reconstruction/a"
     assert "next: the same without --dry-run" in ended.stderr
-    assert not (dataset.root / "reconstruction").exists()
+    assert not (one_scan.root / "reconstruction").exists()
 
 
-def test_status_says_what_is_missing(dataset: Dataset) -> None:
-    rows = json.loads(cli("status", dataset.root, "--json").stdout)["artifacts"]
+def test_status_says_what_is_missing(one_scan: Dataset) -> None:
+    rows = json.loads(cli("status", one_scan.root, "--json").stdout)["artifacts"]
     assert rows[0] == {"stage": "reconstruct", "label": "reconstruct a", "status": "missing", "why": ""}
     assert {"stage": "objects", "label": "objects a", "status": "blocked", "why": "reconstruction/a is missing"} in rows
 
 
-def test_damaged_input_blocks_what_reads_it_and_status_lists_the_rest(dataset: Dataset) -> None:
-    (dataset.path(Scan, "a") / "artifact.json").write_text("{}")
-    rows = json.loads(cli("status", dataset.root, "--json").stdout)["artifacts"]
+def test_damaged_input_blocks_what_reads_it_and_status_lists_the_rest(one_scan: Dataset) -> None:
+    (one_scan.path(Scan, "a") / "artifact.json").write_text("{}")
+    rows = json.loads(cli("status", one_scan.root, "--json").stdout)["artifacts"]
     assert (rows[0]["label"], rows[0]["status"]) == ("reconstruct a", "blocked")
     assert "scan/a/artifact.json" in rows[0]["why"] and "bask-data ingest" in rows[0]["why"]
     assert len(rows) > 1
-    outcomes = json.loads(cli("run", dataset.root, "--dry-run", "--json").stdout)["outcomes"]
+    outcomes = json.loads(cli("run", one_scan.root, "--dry-run", "--json").stdout)["outcomes"]
     assert outcomes[0]["status"] == "blocked"
-    assert cli("reconstruct", dataset.root).exit_code == 4
+    assert cli("reconstruct", one_scan.root).exit_code == 4
 
 
-def test_missing_file_of_a_parameter_is_shown_and_status_lists_the_rest(dataset: Dataset) -> None:
+def test_missing_file_of_a_parameter_is_shown_and_status_lists_the_rest(one_scan: Dataset) -> None:
     for kind, item in ((VisibleMasks, "a"), (Correspondences, "a")):
-        publish_artifact(dataset, kind, item, lambda out: None)
-    (dataset.root / "params.yaml").write_text("train: {weights: nowhere.pth}")
-    ended = cli("status", dataset.root, "--json")
+        publish_artifact(one_scan, kind, item, lambda out: None)
+    (one_scan.root / "params.yaml").write_text("train: {weights: nowhere.pth}")
+    ended = cli("status", one_scan.root, "--json")
     assert ended.exit_code == 0
     rows = {row["label"]: row for row in json.loads(ended.stdout)["artifacts"]}
     assert rows["train"]["status"] == "blocked"
@@ -141,12 +141,12 @@ def test_missing_file_of_a_parameter_is_shown_and_status_lists_the_rest(dataset:
     assert rows["reconstruct a"]["status"] == "missing"
 
 
-def test_info_and_validate_of_a_recording(dataset: Dataset) -> None:
-    info = json.loads(cli("info", dataset.root, "--json").stdout)
+def test_info_and_validate_of_a_recording(one_scan: Dataset) -> None:
+    info = json.loads(cli("info", one_scan.root, "--json").stdout)
     assert info["artifacts"][0]["cameras"] == {"wrist": "2 x 6x4"}
-    assert cli("validate", dataset.root).exit_code == 0
-    (dataset.path(Scan, "a") / "wrist" / "zarr.json").unlink()
-    ended = cli("validate", dataset.root)
+    assert cli("validate", one_scan.root).exit_code == 0
+    (one_scan.path(Scan, "a") / "wrist" / "zarr.json").unlink()
+    ended = cli("validate", one_scan.root)
     assert ended.exit_code == 4
     assert "scan/a/wrist/zarr.json: missing." in ended.stdout
 
@@ -161,55 +161,55 @@ def test_ingest_prints_every_assumption_and_refuses_to_overwrite(tmp_path: Path)
     assert "pass --force" in again.stderr
 
 
-def test_lists_on_the_command_line_are_split_at_commas(dataset: Dataset) -> None:
-    ended = cli("reconstruct", dataset.root, "--workspace", "0,0,0,1,1", "--dry-run")
+def test_lists_on_the_command_line_are_split_at_commas(one_scan: Dataset) -> None:
+    ended = cli("reconstruct", one_scan.root, "--workspace", "0,0,0,1,1", "--dry-run")
     assert ended.exit_code == 2
     assert "reconstruct: workspace" in ended.stderr
-    assert cli("reconstruct", dataset.root, "--workspace", "0,0,0,1,1,1", "--dry-run").exit_code == 0
+    assert cli("reconstruct", one_scan.root, "--workspace", "0,0,0,1,1,1", "--dry-run").exit_code == 0
 
 
-def test_split_is_recorded(dataset: Dataset) -> None:
-    add_scan(dataset, "b", level=9)
-    assert cli("split", dataset.root, "--train", "a", "--validation", "b").exit_code == 0
-    assert Dataset(dataset.root).file.splits.validation == ("b",)
-    assert np.array_equal(Dataset(dataset.root).items("scene"), ["a", "b"])
+def test_split_is_recorded(one_scan: Dataset) -> None:
+    add_scan(one_scan, "b", level=9)
+    assert cli("split", one_scan.root, "--train", "a", "--validation", "b").exit_code == 0
+    assert Dataset(one_scan.root).file.splits.validation == ("b",)
+    assert np.array_equal(Dataset(one_scan.root).items("scene"), ["a", "b"])
 
 
 @pytest.mark.parametrize("option", ["--variant", "--descriptor"])
-def test_variant_that_is_a_path_out_of_the_dataset_is_refused(dataset: Dataset, option: str) -> None:
-    precious = dataset.root.parent / "victim" / "file"
+def test_variant_that_is_a_path_out_of_the_dataset_is_refused(one_scan: Dataset, option: str) -> None:
+    precious = one_scan.root.parent / "victim" / "file"
     precious.parent.mkdir()
     precious.touch()
-    ended = cli("reference", dataset.root, option, "../../victim")
+    ended = cli("reference", one_scan.root, option, "../../victim")
     assert ended.exit_code == 2
     assert "got '../../victim'" in ended.stderr
     assert list(precious.parent.iterdir()) == [precious]
 
 
-def test_bad_value_for_a_late_stage_is_refused_before_the_first_runs(dataset: Dataset) -> None:
-    ended = cli("run", dataset.root, "--set", "train.steps=many")
+def test_bad_value_for_a_late_stage_is_refused_before_the_first_runs(one_scan: Dataset) -> None:
+    ended = cli("run", one_scan.root, "--set", "train.steps=many")
     assert ended.exit_code == 2
     assert "train: steps: expected a whole number" in ended.stderr
-    assert not (dataset.root / "reconstruction").exists()
+    assert not (one_scan.root / "reconstruction").exists()
 
 
-def test_parameters_of_the_dataset_are_used_without_being_named(dataset: Dataset) -> None:
-    (dataset.root / "params.yaml").write_text("reconstruct: {voxel_size: -1}\n")
+def test_parameters_of_the_dataset_are_used_without_being_named(one_scan: Dataset) -> None:
+    (one_scan.root / "params.yaml").write_text("reconstruct: {voxel_size: -1}\n")
     for command in ("reconstruct", "run", "status"):
-        ended = cli(command, dataset.root)
+        ended = cli(command, one_scan.root)
         assert ended.exit_code == 2
         assert "reconstruct: voxel_size: expected" in ended.stderr
-    assert cli("reconstruct", dataset.root, "--set", "reconstruct.voxel_size=1", "--dry-run").exit_code == 0
+    assert cli("reconstruct", one_scan.root, "--set", "reconstruct.voxel_size=1", "--dry-run").exit_code == 0
 
 
-def test_misspelt_scene_in_a_section_is_refused(dataset: Dataset) -> None:
-    ended = cli("run", dataset.root, "--set", "reconstruct@tabel.voxel_size=1")
+def test_misspelt_scene_in_a_section_is_refused(one_scan: Dataset) -> None:
+    ended = cli("run", one_scan.root, "--set", "reconstruct@tabel.voxel_size=1")
     assert ended.exit_code == 2
     assert "reconstruct@tabel: expected reconstruct@ and one of a" in ended.stderr
 
 
-def test_workspace_with_swapped_corners_is_refused_before_anything_runs(dataset: Dataset) -> None:
-    ended = cli("reconstruct", dataset.root, "--workspace", "1,1,1,0,0,0", "--dry-run")
+def test_workspace_with_swapped_corners_is_refused_before_anything_runs(one_scan: Dataset) -> None:
+    ended = cli("reconstruct", one_scan.root, "--workspace", "1,1,1,0,0,0", "--dry-run")
     assert ended.exit_code == 2
     assert "each minimum below its maximum" in ended.stderr
 

@@ -25,7 +25,7 @@ ROWS = [
 
 
 @pytest.fixture
-def dataset(tmp_path: Path) -> Dataset:
+def five_scans(tmp_path: Path) -> Dataset:
     dataset = Dataset.create(tmp_path / "table")
     for name in ("a", "b", "c", "d", "e"):
         add_scan(dataset, name)
@@ -50,19 +50,19 @@ def test_a_summary_counts_and_names_the_first_that_are_not_up_to_date() -> None:
     assert len(summary(ROWS, every=True)) == len(ROWS)
 
 
-def test_status_is_a_result_on_stdout_and_the_next_command_is_not(dataset: Dataset) -> None:
-    ended = program("status", dataset.root)
+def test_status_is_a_result_on_stdout_and_the_next_command_is_not(five_scans: Dataset) -> None:
+    ended = program("status", five_scans.root)
     assert ended.returncode == 0
     assert ended.stdout.splitlines()[0] == "  reconstruct      5 missing"
     assert "... and 2 more; --all lists them" in ended.stdout
-    assert ended.stderr == f"next: bask-data run {dataset.root}\n"
-    every = program("status", dataset.root, "--all")
+    assert ended.stderr == f"next: bask-data run {five_scans.root}\n"
+    every = program("status", five_scans.root, "--all")
     assert sum("reconstruct " in line for line in every.stdout.splitlines()) == 5
 
 
 @pytest.mark.parametrize("command", ["status", "info", "validate", "split", "init"])
-def test_with_json_stdout_holds_nothing_else(dataset: Dataset, command: str, tmp_path: Path) -> None:
-    root = tmp_path / "new" if command == "init" else dataset.root
+def test_with_json_stdout_holds_nothing_else(five_scans: Dataset, command: str, tmp_path: Path) -> None:
+    root = tmp_path / "new" if command == "init" else five_scans.root
     ended = CliRunner().invoke(app, [command, str(root), "--json"])
     assert ended.exit_code == 0
     assert json.loads(ended.stdout)["command"] == command
@@ -76,17 +76,17 @@ def test_with_json_stdout_holds_nothing_else(dataset: Dataset, command: str, tmp
         ("split", "  validation: b"),
     ],
 )
-def test_results_are_on_stdout(dataset: Dataset, command: str, line: str) -> None:
-    words = [command, str(dataset.root), *(["--validation", "b"] if command == "split" else [])]
+def test_results_are_on_stdout(five_scans: Dataset, command: str, line: str) -> None:
+    words = [command, str(five_scans.root), *(["--validation", "b"] if command == "split" else [])]
     assert line in CliRunner().invoke(app, words).stdout.splitlines()
 
 
-def test_a_dry_run_is_a_summary_and_lists_all_on_demand(dataset: Dataset) -> None:
+def test_a_dry_run_is_a_summary_and_lists_all_on_demand(five_scans: Dataset) -> None:
     runner = CliRunner()
-    ended = runner.invoke(app, ["run", str(dataset.root), "--dry-run"])
+    ended = runner.invoke(app, ["run", str(five_scans.root), "--dry-run"])
     assert ended.stdout.splitlines()[0] == "  reconstruct      5 would make"
     assert ended.stderr == "next: the same without --dry-run\n"
-    every = runner.invoke(app, ["run", str(dataset.root), "--dry-run", "--all"])
+    every = runner.invoke(app, ["run", str(five_scans.root), "--dry-run", "--all"])
     assert "  would make  objects e  (after reconstruction/e)" in every.stdout.splitlines()
 
 

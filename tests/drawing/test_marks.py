@@ -1,24 +1,17 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from bask_data.core.geometry import invert_rigid, project, transform
 from bask_data.dataset import Dataset
 from bask_data.drawing.marks import N_TRAIL, camera_tracks
 from bask_data.drawing.pictures import palette
 from bask_data.kinds import Demonstration, KeypointTrack
-from tests.report.filled import filled_dataset
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return filled_dataset(tmp_path_factory.mktemp("full") / "dataset")
-
-
-def test_marks_are_the_track_s_pixels_with_its_trail_and_the_true_positions_in_view(dataset: Dataset) -> None:
-    track = KeypointTrack(dataset.path(KeypointTrack, "demo-a"))
-    cameras = Demonstration(dataset.path(Demonstration, "demo-a")).cameras
+def test_marks_are_the_track_s_pixels_with_its_trail_and_the_true_positions_in_view(filled: Dataset) -> None:
+    track = KeypointTrack(filled.path(KeypointTrack, "demo-a"))
+    cameras = Demonstration(filled.path(Demonstration, "demo-a")).cameras
     places = track.mean.astype(np.float64)
     places[:, 1] = (0.0, 0.0, 1e3)
     [camera_track] = camera_tracks(track, cameras, places)
@@ -31,9 +24,9 @@ def test_marks_are_the_track_s_pixels_with_its_trail_and_the_true_positions_in_v
     assert np.isnan(second.truth).all()
 
 
-def test_an_ellipse_is_the_covariance_seen_through_the_camera(dataset: Dataset) -> None:
-    track = KeypointTrack(dataset.path(KeypointTrack, "demo-a"))
-    cameras = Demonstration(dataset.path(Demonstration, "demo-a")).cameras
+def test_an_ellipse_is_the_covariance_seen_through_the_camera(filled: Dataset) -> None:
+    track = KeypointTrack(filled.path(KeypointTrack, "demo-a"))
+    cameras = Demonstration(filled.path(Demonstration, "demo-a")).cameras
     [camera_track] = camera_tracks(track, cameras, np.full(track.mean.shape, np.nan))
     mark, rng = camera_track.marks(0, palette(2))[0], np.random.default_rng(0)
     moved = rng.multivariate_normal(track.mean[0, 0], track.covariance[0, 0], 40_000)
@@ -42,6 +35,6 @@ def test_an_ellipse_is_the_covariance_seen_through_the_camera(dataset: Dataset) 
     np.testing.assert_allclose(mark.covariance, np.cov(pixels.T), rtol=0.05, atol=0.05 * np.trace(mark.covariance))
 
 
-def test_a_camera_that_a_recording_lacks_is_left_out(dataset: Dataset) -> None:
-    track = KeypointTrack(dataset.path(KeypointTrack, "demo-a"))
+def test_a_camera_that_a_recording_lacks_is_left_out(filled: Dataset) -> None:
+    track = KeypointTrack(filled.path(KeypointTrack, "demo-a"))
     assert camera_tracks(track, [], track.mean) == []

@@ -20,14 +20,6 @@ from tests.datasets import add_scan
 from tests.toy_stages import fuse, label, learn, pick
 
 
-@pytest.fixture
-def dataset(tmp_path: Path) -> Dataset:
-    dataset = Dataset.create(tmp_path / "table")
-    add_scan(dataset, "a")
-    add_scan(dataset, "b", n_frames=3)
-    return dataset
-
-
 def statuses(dataset: Dataset, stage: Stage, **options: object) -> list[str]:
     return [outcome.status for outcome in run(plan(dataset, stage, **options))]  # type: ignore[arg-type]
 

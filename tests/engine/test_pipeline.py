@@ -10,18 +10,9 @@ from bask_data.dataset import Dataset
 from bask_data.engine import Position, RunRequest, Snapshot, plan, run, run_pipeline, state_of, status
 from bask_data.errors import UsageError
 from bask_data.kinds import Reconstruction
-from tests.datasets import add_scan
 from tests.toy_stages import fuse, learn, pick
 
 STAGES = (fuse, pick, learn)
-
-
-@pytest.fixture
-def dataset(tmp_path: Path) -> Dataset:
-    dataset = Dataset.create(tmp_path / "table")
-    add_scan(dataset, "a")
-    add_scan(dataset, "b")
-    return dataset
 
 
 def test_everything_is_made_in_order_with_its_position(dataset: Dataset) -> None:

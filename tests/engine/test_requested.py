@@ -20,14 +20,6 @@ STAGES = (fuse, pick)
 VARIANTS, ITEMS = ("main", "big"), ("a", "b")
 
 
-@pytest.fixture
-def dataset(tmp_path: Path) -> Dataset:
-    dataset = Dataset.create(tmp_path / "table")
-    add_scan(dataset, "a")
-    add_scan(dataset, "b")
-    return dataset
-
-
 def made(dataset: Dataset, **asked: object) -> list[str]:
     request = RunRequest(**{"stages": ("fuse",), **asked})  # type: ignore[arg-type]
     return [outcome.status for outcome in run_pipeline(dataset, STAGES, request)]

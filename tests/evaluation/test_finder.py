@@ -13,13 +13,6 @@ from tests.datasets import copied, publish_artifact
 from tests.report.filled import HEIGHT, WIDTH, publish_network
 
 
-@pytest.fixture(scope="module")
-def dataset(filled: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    dataset = copied(filled, tmp_path_factory.mktemp("full") / "dataset")
-    publish_network(dataset)
-    return dataset
-
-
 def picks_of(dataset: Dataset) -> list[Pick]:
     return ReferenceKeypoints(dataset.path(ReferenceKeypoints)).picks
 
@@ -49,15 +42,15 @@ def test_a_network_finds_a_point_in_the_image_it_was_picked_in(filled: Dataset, 
         np.testing.assert_allclose((np.array([u, v]) + 0.5) / heat.shape[::-1], (best + 0.5) / [WIDTH, HEIGHT])
 
 
-def test_the_reference_descriptors_of_a_network_s_own_variant_are_taken_as_they_are(dataset):
-    descriptor = find(dataset, DescriptorNet)
+def test_the_reference_descriptors_of_a_network_s_own_variant_are_taken_as_they_are(filled_with_network):
+    descriptor = find(filled_with_network, DescriptorNet)
     assert descriptor is not None
-    finder = Finder(dataset, "main", descriptor, picks_of(dataset))
+    finder = Finder(filled_with_network, "main", descriptor, picks_of(filled_with_network))
     np.testing.assert_array_equal(finder.descriptors, np.eye(2, 8))
 
 
-def test_picks_in_missing_frames_have_no_descriptor(dataset):
-    known = picks_of(dataset)[0]
+def test_picks_in_missing_frames_have_no_descriptor(filled_with_network):
+    known = picks_of(filled_with_network)[0]
     strange = [
         known,
         known.model_copy(update={"recording": "nowhere"}),
@@ -65,9 +58,15 @@ def test_picks_in_missing_frames_have_no_descriptor(dataset):
         known.model_copy(update={"u": float("nan")}),
         known.model_copy(update={"v": 1e6}),
     ]
-    descriptor = find(dataset, DescriptorNet)
+    descriptor = find(filled_with_network, DescriptorNet)
     assert descriptor is not None
-    assert Finder(dataset, "main", descriptor, strange).described.tolist() == [True, False, False, False, False]
+    assert Finder(filled_with_network, "main", descriptor, strange).described.tolist() == [
+        True,
+        False,
+        False,
+        False,
+        False,
+    ]
 
 
 def test_a_network_that_does_not_load_or_fit_is_named(filled: Dataset, tmp_path):

@@ -109,7 +109,7 @@ def networks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+def studied(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """A scan that networks learned from and two demonstrations alike; nothing but the study is written to it."""
     made = described_dataset(tmp_path_factory.mktemp("study") / "d", {"scan": boxes(0)})
     publish_network(made, "blind")
@@ -119,10 +119,10 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 @pytest.fixture(scope="module")
-def found(dataset: Dataset) -> dict:
+def found(studied: Dataset) -> dict:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(DescriptorNet, "network", lambda self: NETWORKS[self.path.name])
-        return evaluated_keypoints(dataset, ("main", "blind"), StudySettings(n_keypoints=6))
+        return evaluated_keypoints(studied, ("main", "blind"), StudySettings(n_keypoints=6))
 
 
 def test_with_a_perfect_network_every_filter_is_accurate_while_it_sees(found: dict) -> None:
@@ -163,11 +163,11 @@ def test_only_a_filter_with_memory_knows_keypoints_out_of_view(found: dict) -> N
     assert error["main: expectation"]["out of view"]["median"] > 0.2
 
 
-def test_phases_and_figures_are_those_of_ground_truth(dataset: Dataset, found: dict) -> None:
+def test_phases_and_figures_are_those_of_ground_truth(studied: Dataset, found: dict) -> None:
     group = found["groups"]["carton+tin"]
     picks = [Pick(**{key: one[key] for key in one if key != "object"}) for one in group["keypoints"]]
     assert [one["object"] for one in group["keypoints"]] == ["carton"] * 3 + ["tin"] * 3
-    places = true_tracks(dataset, picks, "demo-a")
+    places = true_tracks(studied, picks, "demo-a")
     inside = np.zeros((N, 6), bool)
     for i in range(N):
         uv, _ = project(transform(invert_rigid(demonstration_camera(i)), places[i]), K)
@@ -192,13 +192,13 @@ def test_settings_without_a_limit_are_null(name: str) -> None:
     assert told[-1]["gripper_reach"] == (0.15 if name == "default" else None)
 
 
-def test_true_points_move_with_their_objects(dataset: Dataset) -> None:
-    picks = points_to_track(dataset, ["carton", "tin"], 4, "", 0)
-    scan = Truth(dataset.path(Truth, "scan"))
-    places = true_tracks(dataset, picks, "demo-a")
+def test_true_points_move_with_their_objects(studied: Dataset) -> None:
+    picks = points_to_track(studied, ["carton", "tin"], 4, "", 0)
+    scan = Truth(studied.path(Truth, "scan"))
+    places = true_tracks(studied, picks, "demo-a")
     for i, (pick, label) in enumerate(zip(picks, (1, 1, 2, 2), strict=True)):
         depth = scan.depth("wrist", pick.frame)[round(pick.v), round(pick.u)]
-        camera = Scan(dataset.path(Scan, "scan")).camera("wrist")
+        camera = Scan(studied.path(Scan, "scan")).camera("wrist")
         ray = np.linalg.inv(camera.K) @ [pick.u, pick.v, 1.0]
         world = transform(scan.world_from_cameras("wrist")[pick.frame], depth * ray)
         on_object = transform(invert_rigid(np.array(scan.metadata.world_from_object[label])), world)
@@ -207,12 +207,12 @@ def test_true_points_move_with_their_objects(dataset: Dataset) -> None:
             np.testing.assert_allclose(places[t, i], transform(pose, on_object), atol=2e-3)
 
 
-def test_points_of_a_demonstration_stay_where_they_were_picked(dataset: Dataset) -> None:
-    picks = points_to_track(dataset, ["tin"], 3, "", 0, ["demo-b"], ["wrist"])
+def test_points_of_a_demonstration_stay_where_they_were_picked(studied: Dataset) -> None:
+    picks = points_to_track(studied, ["tin"], 3, "", 0, ["demo-b"], ["wrist"])
     assert {pick.recording for pick in picks} == {"demo-b"}
-    truth = Truth(dataset.path(Truth, "demo-b"))
+    truth = Truth(studied.path(Truth, "demo-b"))
     frame = picks[0].frame
-    places = true_tracks(dataset, picks, "demo-b")[frame]
+    places = true_tracks(studied, picks, "demo-b")[frame]
     uv, z = project(transform(invert_rigid(demonstration_camera(frame)), places), K)
     np.testing.assert_allclose(uv, [[pick.u, pick.v] for pick in picks], atol=1e-6)
     shown = [truth.depth("wrist", frame)[round(pick.v), round(pick.u)] for pick in picks]
@@ -267,43 +267,43 @@ def test_examples_have_the_truth_and_each_methods_pixel(found: dict) -> None:
     assert first["frames"][0] == 0 and first["frames"][-1] == N - 1
 
 
-def test_the_same_study_has_the_same_figures_and_another_seed_other_points(dataset: Dataset, found: dict) -> None:
-    again = evaluated_keypoints(dataset, ("main",), StudySettings(demonstrations=["demo-a"], n_keypoints=6))
+def test_the_same_study_has_the_same_figures_and_another_seed_other_points(studied: Dataset, found: dict) -> None:
+    again = evaluated_keypoints(studied, ("main",), StudySettings(demonstrations=["demo-a"], n_keypoints=6))
     alone, both = (one["groups"]["carton+tin"]["methods"]["main: particle"] for one in (again, found))
     assert alone["by_demonstration"]["demo-a"] == both["by_demonstration"]["demo-a"]
-    assert points_to_track(dataset, ["tin"], 3, "", 0) == points_to_track(dataset, ["tin"], 3, "", 0)
-    assert points_to_track(dataset, ["tin"], 3, "", 0) != points_to_track(dataset, ["tin"], 3, "", 1)
+    assert points_to_track(studied, ["tin"], 3, "", 0) == points_to_track(studied, ["tin"], 3, "", 0)
+    assert points_to_track(studied, ["tin"], 3, "", 0) != points_to_track(studied, ["tin"], 3, "", 1)
 
 
-def test_reference_keypoints_of_the_dataset_can_be_tracked(dataset: Dataset) -> None:
-    picks = points_to_track(dataset, ["carton", "tin"], 4, "", 0)
+def test_reference_keypoints_of_the_dataset_can_be_tracked(studied: Dataset) -> None:
+    picks = points_to_track(studied, ["carton", "tin"], 4, "", 0)
 
     def fill(out: Path) -> None:
         ReferenceKeypoints.write(out, descriptors=np.zeros((4, 3), np.float32), picks=picks)
 
-    publish_artifact(dataset, ReferenceKeypoints, "", fill)
-    assert points_to_track(dataset, ["tin"], 16, "main", 0) == picks[2:]
+    publish_artifact(studied, ReferenceKeypoints, "", fill)
+    assert points_to_track(studied, ["tin"], 16, "main", 0) == picks[2:]
     with pytest.raises(UsageError, match="--reference: expected picks on pan, got none"):
-        points_to_track(dataset, ["pan"], 16, "main", 0)
+        points_to_track(studied, ["pan"], 16, "main", 0)
     with pytest.raises(UsageError, match="--reference: expected one of main, made, got other"):
-        points_to_track(dataset, ["tin"], 16, "other", 0)
+        points_to_track(studied, ["tin"], 16, "other", 0)
 
 
-def test_what_is_studied_is_what_encode_makes(dataset: Dataset) -> None:
-    picks = points_to_track(dataset, ["carton", "tin"], 4, "", 0)
-    camera = Scan(dataset.path(Scan, "scan")).camera("wrist")
+def test_what_is_studied_is_what_encode_makes(studied: Dataset) -> None:
+    picks = points_to_track(studied, ["carton", "tin"], 4, "", 0)
+    camera = Scan(studied.path(Scan, "scan")).camera("wrist")
     uv = np.array([[[pick.u, pick.v]] for pick in picks])
     described = [NETWORKS["main"].descriptors_at(camera.rgb(picks[0].frame), one).numpy()[0] for one in uv]
 
     def fill(out: Path) -> None:
         ReferenceKeypoints.write(out, descriptors=np.stack(described), picks=picks)
 
-    publish_artifact(dataset, ReferenceKeypoints, "", fill)
-    [task] = plan(dataset, encode, only=["demo-a"])
+    publish_artifact(studied, ReferenceKeypoints, "", fill)
+    [task] = plan(studied, encode, only=["demo-a"])
     assert make(task).status == "made"
-    track = KeypointTrack(dataset.path(KeypointTrack, "demo-a"))
-    error = np.linalg.norm(track.mean - true_tracks(dataset, picks, "demo-a"), axis=2)
-    told = evaluated_keypoints(dataset, settings=StudySettings(demonstrations=["demo-a"], reference="main"))["groups"][
+    track = KeypointTrack(studied.path(KeypointTrack, "demo-a"))
+    error = np.linalg.norm(track.mean - true_tracks(studied, picks, "demo-a"), axis=2)
+    told = evaluated_keypoints(studied, settings=StudySettings(demonstrations=["demo-a"], reference="main"))["groups"][
         "carton+tin"
     ]
     studied = told["methods"]["main: particle"]["by_keypoint"]
@@ -323,11 +323,11 @@ def test_what_is_studied_is_what_encode_makes(dataset: Dataset) -> None:
         ({"cameras": ["overhead"]}, "cameras: expected some of wrist, got overhead"),
     ],
 )
-def test_what_does_not_exist_is_reported_with_the_choices(dataset: Dataset, asked: dict, message: str) -> None:
+def test_what_does_not_exist_is_reported_with_the_choices(studied: Dataset, asked: dict, message: str) -> None:
     variants = asked.get("variants", ["main"])
     settings = StudySettings(**{name: value for name, value in asked.items() if name != "variants"})
     with pytest.raises(UsageError, match=message):
-        evaluated_keypoints(dataset, variants, settings)
+        evaluated_keypoints(studied, variants, settings)
 
 
 def test_without_ground_truth_or_a_scan_to_pick_in_there_is_no_study(tmp_path: Path) -> None:
@@ -343,23 +343,23 @@ def test_without_ground_truth_or_a_scan_to_pick_in_there_is_no_study(tmp_path: P
         evaluated_keypoints(dataset)
 
 
-def test_a_saved_study_is_current_until_what_it_measured_changes(dataset: Dataset, found: dict) -> None:
-    path = save_study(dataset, found)
-    assert path == dataset.root / FILE
+def test_a_saved_study_is_current_until_what_it_measured_changes(studied: Dataset, found: dict) -> None:
+    path = save_study(studied, found)
+    assert path == studied.root / FILE
     kept = json.loads(path.read_text())
     assert kept == json.loads(json.dumps(found))
-    assert is_current(dataset, kept)
+    assert is_current(studied, kept)
     changed = kept | {"measured_with": kept["measured_with"] | {"descriptor/main": "another"}}
-    assert not is_current(dataset, changed)
-    assert not is_current(dataset, kept | {"measured_with": {"descriptor/gone": "0"}})
+    assert not is_current(studied, changed)
+    assert not is_current(studied, kept | {"measured_with": {"descriptor/gone": "0"}})
     assert [one.name for one in path.parent.iterdir()] == ["keypoints.json"]
 
 
-def test_figures_are_drawn_and_deterministic(dataset: Dataset, found: dict, tmp_path: Path) -> None:
-    files = write_pictures(dataset, found, tmp_path / "a")
+def test_figures_are_drawn_and_deterministic(studied: Dataset, found: dict, tmp_path: Path) -> None:
+    files = write_pictures(studied, found, tmp_path / "a")
     assert [file.name for file in files] == ["carton+tin.png", "carton+tin-likelihood.png"]
     assert sorted(one.name for one in (tmp_path / "a").iterdir()) == sorted(file.name for file in files)
-    again = write_pictures(dataset, found, tmp_path / "b")
+    again = write_pictures(studied, found, tmp_path / "b")
     assert [file.read_bytes() for file in files] == [file.read_bytes() for file in again]
     image = cv2.cvtColor(cv2.imread(str(files[0])), cv2.COLOR_BGR2RGB)
     for colour in method_colours(found).values():
@@ -367,16 +367,16 @@ def test_figures_are_drawn_and_deterministic(dataset: Dataset, found: dict, tmp_
         assert (np.abs(image.astype(int) - rgb).max(axis=2) < 12).sum() > 100, colour
 
 
-def test_a_figure_of_missing_frames_is_an_error(dataset: Dataset, found: dict, tmp_path: Path) -> None:
+def test_a_figure_of_missing_frames_is_an_error(studied: Dataset, found: dict, tmp_path: Path) -> None:
     lost = json.loads(json.dumps(found))
     for one in lost["groups"]["carton+tin"]["keypoints"]:
         one["recording"] = "gone"
     with pytest.raises(BadData, match="frame .* of wrist in gone: expected the frame that the study used, got none"):
-        write_pictures(dataset, lost, tmp_path)
+        write_pictures(studied, lost, tmp_path)
 
 
-def test_the_command_prints_and_saves_the_study(dataset: Dataset, tmp_path: Path) -> None:
-    arguments = [str(dataset.root), "--demonstrations", "demo-a", "--objects", "tin", "--keypoints", "2", "--json"]
+def test_the_command_prints_and_saves_the_study(studied: Dataset, tmp_path: Path) -> None:
+    arguments = [str(studied.root), "--demonstrations", "demo-a", "--objects", "tin", "--keypoints", "2", "--json"]
     answer = CliRunner().invoke(
         app, ["evaluate", "keypoints", *arguments, "--pictures", str(tmp_path)], catch_exceptions=False
     )
@@ -385,8 +385,8 @@ def test_the_command_prints_and_saves_the_study(dataset: Dataset, tmp_path: Path
     assert told["command"] == "evaluate keypoints"
     assert list(told["groups"]) == ["tin"]
     assert [Path(file).exists() for file in told["files"]] == [True] * 3
-    assert json.loads((dataset.root / FILE).read_text())["groups"] == told["groups"]
+    assert json.loads((studied.root / FILE).read_text())["groups"] == told["groups"]
     particle = told["groups"]["tin"]["methods"]["main: particle"]["error"]["all"]["mean"]
     [line] = [line for line in keypoint_tables(told) if "main: particle" in line]
     assert line.split()[2] == f"{1000 * particle:.0f}"
-    assert f"next: bask-data report {dataset.root}" in answer.stderr
+    assert f"next: bask-data report {studied.root}" in answer.stderr

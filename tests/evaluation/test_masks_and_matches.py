@@ -41,7 +41,8 @@ def publish_truth(dataset: Dataset, names: dict[int, str], touching: list[tuple[
 
 
 @pytest.fixture
-def dataset(tmp_path: Path) -> Dataset:
+def pot_with_lid(tmp_path: Path) -> Dataset:
+    """A scan `table` with the ground truth of a pot and its lid, which touch, a cup and a gripper."""
     dataset = Dataset.create(tmp_path / "d")
     blank = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     publish_recording(
@@ -66,43 +67,43 @@ def publish_masks(dataset: Dataset, instance: np.ndarray, n_instances: int) -> N
     publish_artifact(dataset, VisibleMasks, "table", fill)
 
 
-def test_touching_objects_are_compared_with_one_instance(dataset: Dataset) -> None:
+def test_touching_objects_are_compared_with_one_instance(pot_with_lid: Dataset) -> None:
     instance = np.zeros((HEIGHT, WIDTH), np.uint8)
     instance[10:30, 5:25], instance[10:20, 40:48] = 2, 1
-    publish_masks(dataset, instance, 2)
-    found = evaluated_masks(dataset)
+    publish_masks(pot_with_lid, instance, 2)
+    found = evaluated_masks(pot_with_lid)
     pot, cup = found["scenes"]["table"]["objects"]
     assert (pot["names"], pot["instance"], pot["iou"]) == (("pot", "lid"), 2, 1.0)
     assert (cup["names"], cup["instance"], cup["iou"]) == (("cup",), 1, 0.8)
     assert found["all"] == {"counted": 1.0, "iou": 0.9, "worst": 0.8, "on_robot": 0.0}
 
 
-def test_an_extra_instance_makes_the_count_incorrect(dataset: Dataset) -> None:
-    publish_masks(dataset, np.minimum(labels(), 3), 3)
-    assert evaluated_masks(dataset)["all"]["counted"] == 0.0
+def test_an_extra_instance_makes_the_count_incorrect(pot_with_lid: Dataset) -> None:
+    publish_masks(pot_with_lid, np.minimum(labels(), 3), 3)
+    assert evaluated_masks(pot_with_lid)["all"]["counted"] == 0.0
 
 
-def test_mask_pixels_on_the_robot_are_counted(dataset: Dataset) -> None:
+def test_mask_pixels_on_the_robot_are_counted(pot_with_lid: Dataset) -> None:
     instance = np.zeros((HEIGHT, WIDTH), np.uint8)
     instance[30:34, 0:40] = 1  # Half of it is on the gripper, which is no object.
-    publish_masks(dataset, instance, 1)
-    assert evaluated_masks(dataset)["all"]["on_robot"] == 0.5
-    assert [one["names"] for one in evaluated_masks(dataset)["scenes"]["table"]["objects"]] == [
+    publish_masks(pot_with_lid, instance, 1)
+    assert evaluated_masks(pot_with_lid)["all"]["on_robot"] == 0.5
+    assert [one["names"] for one in evaluated_masks(pot_with_lid)["scenes"]["table"]["objects"]] == [
         ("pot", "lid"),
         ("cup",),
     ]
 
 
-def test_a_scene_without_masks_is_an_error(dataset: Dataset) -> None:
+def test_a_scene_without_masks_is_an_error(pot_with_lid: Dataset) -> None:
     with pytest.raises(UsageError, match="expected a scene with ground truth and masks, got none"):
-        evaluated_masks(dataset)
+        evaluated_masks(pot_with_lid)
     with pytest.raises(UsageError, match="--only: expected one of table, got chair"):
-        evaluated_masks(dataset, ["chair"])
+        evaluated_masks(pot_with_lid, ["chair"])
 
 
-def test_figures_are_plain_values(dataset: Dataset) -> None:
-    publish_masks(dataset, np.zeros((HEIGHT, WIDTH), np.uint8), 0)
-    found = json.loads(json.dumps(evaluated_masks(dataset)))
+def test_figures_are_plain_values(pot_with_lid: Dataset) -> None:
+    publish_masks(pot_with_lid, np.zeros((HEIGHT, WIDTH), np.uint8), 0)
+    found = json.loads(json.dumps(evaluated_masks(pot_with_lid)))
     assert found["all"] == {"counted": 0.0, "iou": 0.0, "worst": 0.0, "on_robot": None}
 
 
@@ -189,11 +190,14 @@ def test_labels_alone_are_no_ground_truth_for_matches(ball: Dataset) -> None:
         evaluated_correspondences(ball)
 
 
-def test_commands_print_figures_for_people_and_scripts(dataset: Dataset, ball: Dataset) -> None:
-    publish_masks(dataset, np.minimum(labels(), 3), 3)
-    shown = CliRunner().invoke(app, ["evaluate", "masks", str(dataset.root), "--json"])
-    assert json.loads(shown.stdout) == {"command": "evaluate masks", **json.loads(json.dumps(evaluated_masks(dataset)))}
-    assert "pot+lid" in CliRunner().invoke(app, ["evaluate", "masks", str(dataset.root)]).stdout
+def test_commands_print_figures_for_people_and_scripts(pot_with_lid: Dataset, ball: Dataset) -> None:
+    publish_masks(pot_with_lid, np.minimum(labels(), 3), 3)
+    shown = CliRunner().invoke(app, ["evaluate", "masks", str(pot_with_lid.root), "--json"])
+    assert json.loads(shown.stdout) == {
+        "command": "evaluate masks",
+        **json.loads(json.dumps(evaluated_masks(pot_with_lid))),
+    }
+    assert "pot+lid" in CliRunner().invoke(app, ["evaluate", "masks", str(pot_with_lid.root)]).stdout
     missing = CliRunner().invoke(app, ["evaluate", "correspondences", str(ball.root)])
     assert missing.exit_code == UsageError.exit_code
     assert "expected a scene with ground truth and correspondences, got none.  fix: bask-data run" in missing.stderr

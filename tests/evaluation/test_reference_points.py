@@ -3,7 +3,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from bask_data.core.geometry import in_image, invert_rigid, project, transform
 from bask_data.dataset import Dataset
@@ -19,18 +18,10 @@ from tests.report.filled import (
     Views,
     make_views,
     publish_frames,
-    publish_network,
     publish_scene,
     publish_truth,
     true_places,
 )
-
-
-@pytest.fixture(scope="module")
-def dataset(filled: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    dataset = copied(filled, tmp_path_factory.mktemp("full") / "dataset")
-    publish_network(dataset)
-    return dataset
 
 
 def picks_of(dataset: Dataset) -> list[Pick]:
@@ -58,16 +49,16 @@ def expected_pixels(points: np.ndarray, seen: Views, i_frame: int) -> tuple[np.n
 # Truth ----------------------------------------------------------------------------------------------------------------
 
 
-def test_a_point_is_where_the_cameras_and_poses_of_objects_put_it(dataset):
+def test_a_point_is_where_the_cameras_and_poses_of_objects_put_it(filled_with_network):
     scan, demonstration = make_views(0.3, 6), make_views(0.8, 5)
-    picks = picks_of(dataset)
+    picks = picks_of(filled_with_network)
     points = np.array([pick.point_world for pick in picks])
     found = set()
     for name, seen, places in (("scan-a", scan, points), ("demo-a", demonstration, true_places(scan, demonstration))):
-        true = TruePlaces(dataset, picks, name)
+        true = TruePlaces(filled_with_network, picks, name)
         for i_frame in range(len(seen.views)):
             uv, states = expected_pixels(places, seen, i_frame)
-            told = true.pixels(camera_of(dataset, name), i_frame)
+            told = true.pixels(camera_of(filled_with_network, name), i_frame)
             np.testing.assert_allclose(told.uv, uv, atol=0.05)
             assert told.states == states
             found |= set(states)
@@ -75,9 +66,9 @@ def test_a_point_is_where_the_cameras_and_poses_of_objects_put_it(dataset):
     assert {SEEN, BEHIND} <= found
 
 
-def test_a_point_outside_the_image_is_out_of_view(dataset):
-    picks = [picks_of(dataset)[0].model_copy(update={"point_world": (9.0, 0.0, 0.0)})]
-    told = TruePlaces(dataset, picks, "scan-a").pixels(camera_of(dataset, "scan-a"), 0)
+def test_a_point_outside_the_image_is_out_of_view(filled_with_network):
+    picks = [picks_of(filled_with_network)[0].model_copy(update={"point_world": (9.0, 0.0, 0.0)})]
+    told = TruePlaces(filled_with_network, picks, "scan-a").pixels(camera_of(filled_with_network, "scan-a"), 0)
     assert told.states == [OUTSIDE]
 
 
@@ -137,16 +128,16 @@ def test_points_without_ground_truth_are_unknown(filled: Dataset, tmp_path):
 # Networks -------------------------------------------------------------------------------------------------------------
 
 
-def test_the_points_are_those_of_the_first_variant_that_has_reference_keypoints(dataset):
-    assert reference_points(dataset, ["other", "main"]) == picks_of(dataset)
+def test_the_points_are_those_of_the_first_variant_that_has_reference_keypoints(filled_with_network):
+    assert reference_points(filled_with_network, ["other", "main"]) == picks_of(filled_with_network)
 
 
-def test_without_reference_keypoints_points_lie_well_inside_the_objects_of_one_frame(dataset):
-    picks = reference_points(dataset, ["other"])
+def test_without_reference_keypoints_points_lie_well_inside_the_objects_of_one_frame(filled_with_network):
+    picks = reference_points(filled_with_network, ["other"])
     assert [sum(pick.instance == i for pick in picks) for i in (1, 2)] == [8, 8]
     (where,) = {(pick.recording, pick.camera, pick.frame) for pick in picks}
     assert where[:2] == ("scan-a", "wrist")
-    instance = VisibleMasks(dataset.path(VisibleMasks, "scan-a")).camera("wrist").instance(where[2])
+    instance = VisibleMasks(filled_with_network.path(VisibleMasks, "scan-a")).camera("wrist").instance(where[2])
     for pick in picks:
         around = instance[round(pick.v) - 1 : round(pick.v) + 2, round(pick.u) - 1 : round(pick.u) + 2]
         assert (around == pick.instance).all()

@@ -8,8 +8,9 @@ from collections.abc import Iterator
 import pytest
 
 from bask_data.dataset import Dataset
+from tests.datasets import copied
 from tests.picker.browsing import served_of
-from tests.picker.pickable import pickable_dataset, recordings_of
+from tests.picker.pickable import recordings_of
 from tests.picker.serving import Served
 
 
@@ -19,6 +20,8 @@ def browser() -> Iterator[object]:
     chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if chromium is None:
         pytest.skip("no Chromium is installed")
+    # As patient as the page's actions: by default an expectation fails after 5 seconds, on a busy machine too soon.
+    playwright.expect.set_options(timeout=60_000)
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         yield browser
@@ -39,8 +42,8 @@ def page(browser) -> Iterator[object]:
 
 
 @pytest.fixture(scope="module")
-def page_dataset(tmp_path_factory) -> Dataset:
-    return pickable_dataset(tmp_path_factory.mktemp("page") / "d")
+def page_dataset(pickable, tmp_path_factory) -> Dataset:
+    return copied(pickable, tmp_path_factory.mktemp("page") / "d")
 
 
 @pytest.fixture

@@ -10,12 +10,12 @@ from bask_data.errors import UsageError
 from bask_data.picker import gallery as module
 from bask_data.picker.gallery import FrameName, Gallery
 from tests.nn import pairs
-from tests.picker.pickable import HEIGHT, N_VIEWS, WIDTH, frame, pickable_dataset, recordings_of, untrained
+from tests.picker.pickable import HEIGHT, N_VIEWS, WIDTH, frame, recordings_of, untrained
 
 
 @pytest.fixture(scope="module")
-def recordings(tmp_path_factory):
-    return recordings_of(pickable_dataset(tmp_path_factory.mktemp("gallery") / "d"))
+def recordings(pickable):
+    return recordings_of(pickable)
 
 
 @pytest.fixture

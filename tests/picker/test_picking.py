@@ -24,7 +24,8 @@ from bask_data.picker.requests import EditRequest, EmptyRequest, FramePixel
 from bask_data.pipeline import STAGES
 from bask_data.progress import listen
 from bask_data.stages.reference import reference
-from tests.picker.pickable import frame, pickable_dataset
+from tests.datasets import copied
+from tests.picker.pickable import frame
 from tests.picker.serving import Served
 from tests.stages.test_reference import without_objects
 
@@ -57,71 +58,66 @@ class Page(Served):
         self.end()
 
 
-@pytest.fixture(scope="module")
-def filled(tmp_path_factory) -> Dataset:
-    return pickable_dataset(tmp_path_factory.mktemp("picking") / "d")
-
-
 @pytest.fixture
-def dataset(filled, tmp_path) -> Dataset:
-    return Dataset(shutil.copytree(filled.root, tmp_path / "d"))
+def pickable_copy(pickable, tmp_path) -> Dataset:
+    return copied(pickable, tmp_path / "d")
 
 
 def click(page: Page, recording: str = "a", u: float = 40.0, v: float = 50.0, **more: object) -> dict:
     return page.answer("edit", do="add", at={"frame": [recording, "wrist", 1], "u": u, "v": v}, **more)
 
 
-def test_saved_keypoints_are_made_by_the_stage_and_are_up_to_date(dataset) -> None:
-    with Page(dataset, "hand") as page:
+def test_saved_keypoints_are_made_by_the_stage_and_are_up_to_date(pickable_copy) -> None:
+    with Page(pickable_copy, "hand") as page:
         click(page, name="rim")
         click(page, "lift", 60.5)
         found = page.answer("save")
     assert (found["summary"], found["next"]) == ("2 keypoints saved as reference/hand", "bask-data encode")
     assert [outcome.status for outcome in page.outcomes] == ["made"]
-    kept = ReferenceKeypoints(dataset.path(ReferenceKeypoints, variant="hand"))
+    kept = ReferenceKeypoints(pickable_copy.path(ReferenceKeypoints, variant="hand"))
     assert [(pick.name, pick.recording, pick.u) for pick in kept.picks] == [
         ("rim", "a", 40.0),
         ("point_1", "lift", 60.5),
     ]
     assert kept.manifest.params["picks"] == ["a:wrist:1:40:50:rim", "lift:wrist:1:60.5:50:point_1"]
-    assert Dataset(dataset.root).variants(ReferenceKeypoints)["hand"] == Variant(inputs={"descriptor": "main"})
-    assert yaml.safe_load((dataset.root / "params.yaml").read_text()) == {
+    assert Dataset(pickable_copy.root).variants(ReferenceKeypoints)["hand"] == Variant(inputs={"descriptor": "main"})
+    assert yaml.safe_load((pickable_copy.root / "params.yaml").read_text()) == {
         "reference@hand": {"auto": False, "picks": kept.manifest.params["picks"]}
     }
     # With the parameters that `status` and `run` use.
-    config = load_config(dataset.root / "params.yaml", [], STAGES)
-    [task] = plan(Dataset(dataset.root), reference, config=config, variant="hand")
+    config = load_config(pickable_copy.root / "params.yaml", [], STAGES)
+    [task] = plan(Dataset(pickable_copy.root), reference, config=config, variant="hand")
     assert state_of(task).status == "up to date"
-    assert not list((dataset.root / SCRATCH).glob("picks*.json"))
+    assert not list((pickable_copy.root / SCRATCH).glob("picks*.json"))
 
 
-def test_the_next_draft_begins_with_the_saved_keypoints(dataset) -> None:
-    with Page(dataset) as page:
+def test_the_next_draft_begins_with_the_saved_keypoints(pickable_copy) -> None:
+    with Page(pickable_copy) as page:
         click(page, name="rim")
         page.answer("save")
-    with Page(dataset) as page:
+    with Page(pickable_copy) as page:
         found = page.answer("start")
         assert [mark["name"] for mark in found["marks"]] == ["rim"]
         assert page.notes == []
         click(page)
         page.answer("save")
-    assert ReferenceKeypoints(dataset.path(ReferenceKeypoints)).names == ["rim", "point_1"]
+    assert ReferenceKeypoints(pickable_copy.path(ReferenceKeypoints)).names == ["rim", "point_1"]
 
 
-def test_unsaved_keypoints_survive_the_end_of_the_command(dataset) -> None:
-    with Page(dataset) as page:
+def test_unsaved_keypoints_survive_the_end_of_the_command(pickable_copy) -> None:
+    with Page(pickable_copy) as page:
         click(page)
         click(page, "b")
     assert page.outcomes == []
-    with Page(dataset) as page:
+    with Page(pickable_copy) as page:
         assert page.notes == ["restored 2 unsaved keypoints"]
         assert [mark["recording"] for mark in page.answer("edit", do="undo")["marks"]] == ["a"]
-    assert not dataset.path(ReferenceKeypoints).exists()
+    assert not pickable_copy.path(ReferenceKeypoints).exists()
 
 
-def test_auto_begins_the_draft_with_proposals(dataset) -> None:
-    without_objects(dataset, "a")
-    with Page(dataset, auto=True, n=3) as page:
+def test_auto_begins_the_draft_with_proposals(pickable_copy) -> None:
+    without_objects(pickable_copy, "a")
+    with Page(pickable_copy, auto=True, n=3) as page:
         found = page.answer("start")
         assert [(mark["recording"], mark["name"]) for mark in found["marks"]] == [
             ("b", "object_1_0"),
@@ -136,7 +132,7 @@ def test_auto_begins_the_draft_with_proposals(dataset) -> None:
         )
         page.answer("propose", scene="b", n=2)
         page.answer("save")
-    kept = ReferenceKeypoints(dataset.path(ReferenceKeypoints))
+    kept = ReferenceKeypoints(pickable_copy.path(ReferenceKeypoints))
     assert [pick.instance for pick in kept.picks] == [1, 2]
     assert kept.manifest.params["auto"] is False
     assert np.isfinite([pick.point_world for pick in kept.picks]).all()
@@ -145,7 +141,7 @@ def test_auto_begins_the_draft_with_proposals(dataset) -> None:
 @pytest.mark.parametrize(
     ("job", "label", "n_done"), [("propose", "choosing keypoints", 0), ("save", "describing keypoints", 1)]
 )
-def test_proposing_and_saving_report_their_progress(dataset, job: str, label: str, n_done: int) -> None:
+def test_proposing_and_saving_report_their_progress(pickable_copy, job: str, label: str, n_done: int) -> None:
     reached, looked_at = threading.Event(), threading.Event()
 
     def held(at: str, done: int, total: int | None) -> None:
@@ -153,7 +149,7 @@ def test_proposing_and_saving_report_their_progress(dataset, job: str, label: st
             reached.set()
             assert looked_at.wait(60)
 
-    with Page(dataset) as page, ThreadPoolExecutor() as executor:
+    with Page(pickable_copy) as page, ThreadPoolExecutor() as executor:
         for u in (40.0, 50.0, 60.0):
             click(page, u=u)
         listen(held)
@@ -170,58 +166,63 @@ def test_proposing_and_saving_report_their_progress(dataset, job: str, label: st
         status, text = working.result(60)
     assert status == 200
     assert json.loads(text).get("is_cancelled", False) == (job == "propose")
-    assert dataset.path(ReferenceKeypoints).exists() == (job == "save")
+    assert pickable_copy.path(ReferenceKeypoints).exists() == (job == "save")
 
 
-def test_two_pages_at_once_are_refused(dataset) -> None:
+def test_two_pages_at_once_are_refused(pickable_copy) -> None:
     with (
-        Page(dataset),
+        Page(pickable_copy),
         pytest.raises(UsageError, match="--pick: main: expected no other page for this variant, got one that is open"),
     ):
         pick_keypoints(
-            Picking(dataset, lambda values: plan(dataset, reference, options=values)[0], dataset.root / "p", ""),
+            Picking(
+                pickable_copy,
+                lambda values: plan(pickable_copy, reference, options=values)[0],
+                pickable_copy.root / "p",
+                "",
+            ),
             say=print,
             opened=print,
         )
 
 
-def test_an_input_missing_for_saving_is_reported_on_the_page(dataset) -> None:
-    shutil.rmtree(dataset.path(VisibleMasks, "a"))
-    with Page(dataset) as page:
+def test_an_input_missing_for_saving_is_reported_on_the_page(pickable_copy) -> None:
+    shutil.rmtree(pickable_copy.path(VisibleMasks, "a"))
+    with Page(pickable_copy) as page:
         click(page)
         status, text = page.ask("save")
         assert (status, "expected to be made, got masks/a is missing" in json.loads(text)["error"]) == (400, True)
         assert len(page.answer("start")["marks"]) == 1
-    assert not (dataset.root / "params.yaml").exists()
+    assert not (pickable_copy.root / "params.yaml").exists()
 
 
-def test_parameters_that_cannot_be_written_leave_the_artifact_as_it_was(dataset) -> None:
-    with Page(dataset, "hand") as page:
+def test_parameters_that_cannot_be_written_leave_the_artifact_as_it_was(pickable_copy) -> None:
+    with Page(pickable_copy, "hand") as page:
         click(page, name="rim")
         page.answer("save")
-        (dataset.root / "params.yaml").unlink()
-        (dataset.root / "params.yaml").mkdir()
+        (pickable_copy.root / "params.yaml").unlink()
+        (pickable_copy.root / "params.yaml").mkdir()
         click(page, name="knob")
         status, text = page.ask("save")
         assert (status, "params.yaml: expected YAML, got" in json.loads(text)["error"]) == (400, True)
         assert len(page.answer("start")["marks"]) == 2
-    assert ReferenceKeypoints(dataset.path(ReferenceKeypoints, variant="hand")).names == ["rim"]
-    (dataset.root / "params.yaml").rmdir()
+    assert ReferenceKeypoints(pickable_copy.path(ReferenceKeypoints, variant="hand")).names == ["rim"]
+    (pickable_copy.root / "params.yaml").rmdir()
 
 
-def test_parameters_are_as_they_were_if_the_artifact_cannot_be_made(dataset) -> None:
-    with Page(dataset) as page:
+def test_parameters_are_as_they_were_if_the_artifact_cannot_be_made(pickable_copy) -> None:
+    with Page(pickable_copy) as page:
         click(page, name="rim")
         page.answer("save")
-        before = (dataset.root / "params.yaml").read_bytes()
+        before = (pickable_copy.root / "params.yaml").read_bytes()
         click(page, name="knob")
-        shutil.rmtree(dataset.path(VisibleMasks, "a"))
+        shutil.rmtree(pickable_copy.path(VisibleMasks, "a"))
         assert page.ask("save")[0] == 400
-    assert (dataset.root / "params.yaml").read_bytes() == before
+    assert (pickable_copy.root / "params.yaml").read_bytes() == before
 
 
 @pytest.mark.parametrize("is_saved", [True, False])
-def test_ctrl_c_ends_as_finish_does_once_something_was_saved(dataset, monkeypatch, is_saved: bool) -> None:
+def test_ctrl_c_ends_as_finish_does_once_something_was_saved(pickable_copy, monkeypatch, is_saved: bool) -> None:
     def interrupted(desk: Desk, port: int, opened: object) -> None:
         at = FramePixel(frame=frame("a", 1), u=40.0, v=50.0)
         desk.edit(EditRequest(do="add", at=at))
@@ -230,17 +231,17 @@ def test_ctrl_c_ends_as_finish_does_once_something_was_saved(dataset, monkeypatc
         raise KeyboardInterrupt  # As the server on Ctrl-C; the process of the tests may ignore a real signal.
 
     monkeypatch.setattr("bask_data.picker.serve", interrupted)
-    ended = CliRunner().invoke(app, ["reference", str(dataset.root), "--pick", "--no-browser"])
-    assert dataset.path(ReferenceKeypoints).exists() == is_saved
+    ended = CliRunner().invoke(app, ["reference", str(pickable_copy.root), "--pick", "--no-browser"])
+    assert pickable_copy.path(ReferenceKeypoints).exists() == is_saved
     if is_saved:
         assert ended.exit_code == 0, ended.stderr
         assert "interrupted" not in ended.stderr
         assert "made" in ended.stderr
-        assert f"next: bask-data encode {dataset.root}" in ended.stderr
+        assert f"next: bask-data encode {pickable_copy.root}" in ended.stderr
     else:
         assert ended.exit_code == 130
         assert "nothing was saved; the picks are kept, and the same command continues with them." in ended.stderr
-        assert list((dataset.root / SCRATCH).glob("picks*.json"))
+        assert list((pickable_copy.root / SCRATCH).glob("picks*.json"))
 
 
 def picked(dataset: Dataset, **options: object) -> None:
@@ -249,10 +250,10 @@ def picked(dataset: Dataset, **options: object) -> None:
     pick_keypoints(picking, say=print, opened=print)
 
 
-def test_a_missing_network_is_reported_with_a_fix(dataset) -> None:
-    shutil.rmtree(dataset.path(DescriptorNet))
+def test_a_missing_network_is_reported_with_a_fix(pickable_copy) -> None:
+    shutil.rmtree(pickable_copy.path(DescriptorNet))
     with pytest.raises(BadData, match=r"descriptor/main: expected a network, got none.  fix: bask-data train"):
-        picked(dataset)
+        picked(pickable_copy)
 
 
 def test_missing_recordings_are_reported_with_a_fix(tmp_path: Path) -> None:
@@ -260,11 +261,11 @@ def test_missing_recordings_are_reported_with_a_fix(tmp_path: Path) -> None:
         picked(Dataset.create(tmp_path / "empty"))
 
 
-def test_without_objects_there_is_nothing_to_propose(dataset) -> None:
+def test_without_objects_there_is_nothing_to_propose(pickable_copy) -> None:
     for name in ("a", "b"):
-        without_objects(dataset, name)
+        without_objects(pickable_copy, name)
     with pytest.raises(UsageError, match="--auto: expected a scan with masks of its objects, got none"):
-        picked(dataset, auto=True)
+        picked(pickable_copy, auto=True)
 
 
 @pytest.mark.parametrize(
@@ -275,6 +276,6 @@ def test_without_objects_there_is_nothing_to_propose(dataset) -> None:
         (["--pick", "--port", "70000"], "--port: expected a whole number of at least 0 and at most 65535, got '70000'"),
     ],
 )
-def test_options_that_exclude_each_other_are_refused(dataset, options: list[str], message: str) -> None:
-    ended = CliRunner().invoke(app, ["reference", str(dataset.root), *options])
+def test_options_that_exclude_each_other_are_refused(pickable_copy, options: list[str], message: str) -> None:
+    ended = CliRunner().invoke(app, ["reference", str(pickable_copy.root), *options])
     assert (ended.exit_code, message in ended.stderr) == (2, True), ended.stderr

@@ -19,7 +19,7 @@ from bask_data.picker.draft import Draft, KeypointMark
 from bask_data.picker.gallery import Gallery
 from bask_data.picker.server import MOST_BODY_BYTES, listen, serve
 from bask_data.progress import progress
-from tests.picker.pickable import HEIGHT, WIDTH, frame, pickable_dataset, recordings_of, untrained
+from tests.picker.pickable import HEIGHT, WIDTH, frame, recordings_of, untrained
 from tests.picker.serving import Served
 
 pytest.importorskip("uvicorn")
@@ -27,8 +27,8 @@ pytest.importorskip("starlette")
 
 
 @pytest.fixture(scope="module")
-def recordings(tmp_path_factory):
-    return recordings_of(pickable_dataset(tmp_path_factory.mktemp("server") / "d"))
+def recordings(pickable):
+    return recordings_of(pickable)
 
 
 SAVED: list[tuple[KeypointMark, ...]] = []

@@ -13,15 +13,16 @@ from bask_data.evaluation import DescriptorSettings, evaluated_descriptor
 from bask_data.kinds import Correspondences, DescriptorNet
 from bask_data.report import evaluated, measure, summarise, write_report
 from bask_data.report.words import number, percent
-from tests.report.filled import filled_dataset, publish_network
+from tests.datasets import copied
+from tests.report.filled import publish_network
 from tests.report.test_report import Page
 
 MEASURED_BY = "bask_data.evaluation.network_figures.evaluated_descriptor"
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    dataset = filled_dataset(tmp_path_factory.mktemp("full") / "dataset")
+def two_networks(filled: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    dataset = copied(filled, tmp_path_factory.mktemp("full") / "dataset")
     for seed, variant in enumerate(("main", "florence")):
         dataset.add_variant(DescriptorNet, variant, Variant())
         publish_network(dataset, variant=variant, seed=seed, chosen_by=None if seed else "validation_pck_4")
@@ -29,8 +30,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 @pytest.fixture(scope="module")
-def found(dataset: Dataset) -> dict[str, Any]:
-    return json.loads(json.dumps(summarise(dataset), allow_nan=False))["evaluation"]
+def found(two_networks: Dataset) -> dict[str, Any]:
+    return json.loads(json.dumps(summarise(two_networks), allow_nan=False))["evaluation"]
 
 
 def section(html: str, name: str) -> str:
@@ -39,17 +40,17 @@ def section(html: str, name: str) -> str:
 
 
 def test_networks_are_measured_as_the_command_does_and_only_once_for_page_and_json(
-    dataset, found, tmp_path, monkeypatch
+    two_networks, found, tmp_path, monkeypatch
 ):
     told = evaluated_descriptor(
-        dataset, ("main", "florence"), DescriptorSettings(pairs=48, sweep=True, one_may_be_learned=True)
+        two_networks, ("main", "florence"), DescriptorSettings(pairs=48, sweep=True, one_may_be_learned=True)
     )
     assert found == json.loads(json.dumps(told))
     asked: list[object] = []
     monkeypatch.setattr(MEASURED_BY, lambda *a: asked.append(a) or told)
-    measured = measure(dataset)
-    html = write_report(dataset, tmp_path / "r.html", measured).read_text(encoding="utf-8")
-    summarise(dataset, measured)
+    measured = measure(two_networks)
+    html = write_report(two_networks, tmp_path / "r.html", measured).read_text(encoding="utf-8")
+    summarise(two_networks, measured)
     assert len(asked) == 1
     page = Page(section(html, "evaluation"))
     assert f"Measured on: {found['measured_on']}. {found['n_pairs']} pairs of frames" in page.text
@@ -68,7 +69,7 @@ def test_networks_are_measured_as_the_command_does_and_only_once_for_page_and_js
     )
 
 
-def test_scenes_share_the_pairs_and_only_some_of_many_are_measured(dataset, monkeypatch):
+def test_scenes_share_the_pairs_and_only_some_of_many_are_measured(two_networks, monkeypatch):
     asked: list[DescriptorSettings] = []
     monkeypatch.setattr(MEASURED_BY, lambda *a: asked.append(a[2]) or {})
     for n in (4, 9):
@@ -76,7 +77,7 @@ def test_scenes_share_the_pairs_and_only_some_of_many_are_measured(dataset, monk
         monkeypatch.setattr(
             "bask_data.evaluation.network_figures.held_out", lambda *a, names=names: type("", (), {"scenes": names})
         )
-        measure(dataset).descriptors()
+        measure(two_networks).descriptors()
     assert [(len(one.scenes), one.pairs) for one in asked] == [(0, 12), (8, 6)]
 
 
@@ -148,8 +149,8 @@ def test_the_reliability_diagram_shows_bins_with_matches_and_the_diagonal(drawn)
     assert "within 4% of the image's diagonal" in plot["caption"]
 
 
-def test_networks_that_cannot_be_measured_say_why(tmp_path):
-    dataset = filled_dataset(tmp_path / "d")
+def test_networks_that_cannot_be_measured_say_why(filled, tmp_path):
+    dataset = copied(filled, tmp_path / "d")
     dataset.add_variant(DescriptorNet, "broken", Variant())
     for variant in ("main", "broken"):
         publish_network(dataset, variant=variant)
@@ -164,8 +165,8 @@ def test_networks_that_cannot_be_measured_say_why(tmp_path):
     assert "Measured on: " not in page.text
 
 
-def test_the_step_of_the_saved_weights_is_stated_and_marked(dataset, tmp_path, drawn):
-    html = section(write_report(dataset, tmp_path / "r.html").read_text(encoding="utf-8"), "training")
+def test_the_step_of_the_saved_weights_is_stated_and_marked(two_networks, tmp_path, drawn):
+    html = section(write_report(two_networks, tmp_path / "r.html").read_text(encoding="utf-8"), "training")
     text = Page(html).text
     assert "99 steps; the weights are those of step 80, where validation pck 4 was best (dotted line)" in text
     assert "99 steps; the weights are those of the last step" in text

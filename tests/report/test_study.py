@@ -51,7 +51,7 @@ def found(measured_with: dict[str, str]) -> dict:
 
 
 @pytest.fixture
-def dataset(tmp_path: Path) -> Dataset:
+def empty(tmp_path: Path) -> Dataset:
     return Dataset.create(tmp_path / "d")
 
 
@@ -64,13 +64,13 @@ def sections_of(dataset: Dataset) -> list:
     return study.study(choose(dataset, Measured(dataset), 4))
 
 
-def test_without_a_study_there_is_no_section(dataset: Dataset) -> None:
-    assert sections_of(dataset) == []
+def test_without_a_study_there_is_no_section(empty: Dataset) -> None:
+    assert sections_of(empty) == []
 
 
-def test_the_page_shows_each_methods_figures_and_curves(dataset: Dataset, tmp_path: Path) -> None:
-    keep(dataset, found({}))
-    text = write_report(dataset, tmp_path / "r.html").read_text().replace("\u00a0", " ")
+def test_the_page_shows_each_methods_figures_and_curves(empty: Dataset, tmp_path: Path) -> None:
+    keep(empty, found({}))
+    text = write_report(empty, tmp_path / "r.html").read_text().replace("\u00a0", " ")
     for i, name in enumerate(METHODS):
         [row] = [row for row in text.split("<tr>") if f"{name}</td>" in row]
         assert row.count(f"{32.1 * (i + 1):.1f} mm") == 1 + len(PHASES)
@@ -80,30 +80,30 @@ def test_the_page_shows_each_methods_figures_and_curves(dataset: Dataset, tmp_pa
     assert "Made with other networks" not in text
 
 
-def test_a_script_gets_the_same_figures(dataset: Dataset) -> None:
-    assert "study" not in summarise(dataset)
-    keep(dataset, found({}))
-    summary = summarise(dataset)["study"]["lid"]
+def test_a_script_gets_the_same_figures(empty: Dataset) -> None:
+    assert "study" not in summarise(empty)
+    keep(empty, found({}))
+    summary = summarise(empty)["study"]["lid"]
     assert list(summary) == list(METHODS)
     assert summary["ours: particle"] == {what: method(3 * 0.0321)[what] for what in ("error", "apart")}
-    keep(dataset, {"groups": 3})
-    assert "study" not in summarise(dataset)
+    keep(empty, {"groups": 3})
+    assert "study" not in summarise(empty)
 
 
-def test_a_study_of_changed_inputs_is_marked_stale(dataset: Dataset, tmp_path: Path) -> None:
-    keep(dataset, found({"descriptor/main": "0123"}))
-    assert sections_of(dataset)[0]["is_stale"]
-    assert "Made with other networks or recordings" in write_report(dataset, tmp_path / "r.html").read_text()
+def test_a_study_of_changed_inputs_is_marked_stale(empty: Dataset, tmp_path: Path) -> None:
+    keep(empty, found({"descriptor/main": "0123"}))
+    assert sections_of(empty)[0]["is_stale"]
+    assert "Made with other networks or recordings" in write_report(empty, tmp_path / "r.html").read_text()
 
 
 @pytest.mark.parametrize("content", [[], {"groups": 3}, {"groups": {"a": {}}, "methods": 1}, "{"])
 def test_a_file_that_is_no_study_is_an_error_in_its_own_section(
-    dataset: Dataset, tmp_path: Path, content: object
+    empty: Dataset, tmp_path: Path, content: object
 ) -> None:
-    keep(dataset, content)
+    keep(empty, content)
     if content == "{":
-        (dataset.root / FILE).write_text("{")
-    text = write_report(dataset, tmp_path / "r.html").read_text()
+        (empty.root / FILE).write_text("{")
+    text = write_report(empty, tmp_path / "r.html").read_text()
     assert "Accuracy of tracked keypoints" in text
     assert "keypoints.json" in text
 

@@ -50,7 +50,7 @@ def digests(root: Path) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def phone_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two scans and a demonstration; tests must not change it."""
     root = tmp_path_factory.mktemp("sim") / "d"
     names = made(root, 2, 1)
@@ -62,16 +62,16 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def test_dataset_is_valid_and_lists_its_recordings(dataset: Path) -> None:
-    opened = Dataset(dataset)
+def test_dataset_is_valid_and_lists_its_recordings(phone_root: Path) -> None:
+    opened = Dataset(phone_root)
     assert opened.items("scene") == ["phone_scan0", "phone_scan1"]
     assert opened.items("demonstration") == ["phone_demo0"]
     assert validate(opened) == []
     assert (opened.file.scenes["phone_scan0"].format, opened.file.scenes["phone_scan0"].path) == ("sim", "")
 
 
-def test_scans_have_noise_and_ground_truth_has_none(dataset: Path) -> None:
-    scan, truth = Scan(dataset / "scan" / "phone_scan0"), Truth(dataset / "truth" / "phone_scan0")
+def test_scans_have_noise_and_ground_truth_has_none(phone_root: Path) -> None:
+    scan, truth = Scan(phone_root / "scan" / "phone_scan0"), Truth(phone_root / "truth" / "phone_scan0")
     assert truth.camera_names == scan.camera_names == ["overhead", "wrist"]
     assert truth.has_depth
     for camera in scan.cameras:
@@ -87,8 +87,8 @@ def test_scans_have_noise_and_ground_truth_has_none(dataset: Path) -> None:
         np.testing.assert_array_equal(truth.world_from_cameras(camera.name), camera.world_from_cameras)
 
 
-def test_ground_truth_has_names_of_labels_poses_and_touching_objects(dataset: Path, tmp_path: Path) -> None:
-    scan = Truth(dataset / "truth" / "phone_scan0")
+def test_ground_truth_has_names_of_labels_poses_and_touching_objects(phone_root: Path, tmp_path: Path) -> None:
+    scan = Truth(phone_root / "truth" / "phone_scan0")
     assert scan.label_names == {1: "base", 2: "phone", 255: "gripper"}
     assert scan.metadata.object_labels == [1, 2]
     assert scan.touching == []
@@ -96,7 +96,7 @@ def test_ground_truth_has_names_of_labels_poses_and_touching_objects(dataset: Pa
     assert poses is not None and poses.shape == (3, 2, 4, 4)
     np.testing.assert_allclose(np.array(scan.metadata.world_from_object[2]), poses[0, 1])
     assert scan.metadata.pose_error == {1: 0.0, 2: 0.0}
-    demo = Truth(dataset / "truth" / "phone_demo0")
+    demo = Truth(phone_root / "truth" / "phone_demo0")
     moved = demo.world_from_objects
     assert moved is not None and np.abs(moved[-1, 1] - moved[0, 1]).max() > 0.05
     assert demo.metadata.world_from_object == {}
@@ -104,8 +104,8 @@ def test_ground_truth_has_names_of_labels_poses_and_touching_objects(dataset: Pa
     assert Truth(tmp_path / "d" / "truth" / "lid_scan0").touching == [(1, 2)]
 
 
-def test_demonstration_has_the_robots_states_and_actions(dataset: Path) -> None:
-    demo = Demonstration(dataset / "demonstration" / "phone_demo0")
+def test_demonstration_has_the_robots_states_and_actions(phone_root: Path) -> None:
+    demo = Demonstration(phone_root / "demonstration" / "phone_demo0")
     n_frames = demo.camera("wrist").n_frames
     assert demo.robot is not None
     assert demo.robot.action_names == ("dx", "dy", "dz", "rx", "ry", "rz", "width")
@@ -113,21 +113,21 @@ def test_demonstration_has_the_robots_states_and_actions(dataset: Path) -> None:
     assert demo.robot.world_from_gripper is not None and demo.robot.world_from_gripper.shape == (n_frames, 4, 4)
     assert demo.robot.gripper_width is not None and np.ptp(demo.robot.gripper_width) > 0.03
     assert np.diff(demo.camera("wrist").time).mean() == pytest.approx(0.05)
-    labels = Truth(dataset / "truth" / "phone_demo0").instance("wrist", 0)
+    labels = Truth(phone_root / "truth" / "phone_demo0").instance("wrist", 0)
     assert (labels == 255).any()
 
 
-def test_scenes_differ_and_the_objects_are_the_same(dataset: Path) -> None:
-    first, second = (Truth(dataset / "truth" / f"phone_scan{i}").world_from_objects for i in (0, 1))
+def test_scenes_differ_and_the_objects_are_the_same(phone_root: Path) -> None:
+    first, second = (Truth(phone_root / "truth" / f"phone_scan{i}").world_from_objects for i in (0, 1))
     assert first is not None and second is not None
     assert np.abs(first[0] - second[0]).max() > 0.02
 
 
-def test_same_options_give_the_same_bytes_in_another_process_and_order(dataset: Path, tmp_path: Path) -> None:
+def test_same_options_give_the_same_bytes_in_another_process_and_order(phone_root: Path, tmp_path: Path) -> None:
     subprocess.run(simulating(tmp_path / "d", "--only", "phone_demo0,phone_scan1"), check=True, capture_output=True)
     simulated = digests(tmp_path / "d")
     assert len(simulated) == 4
-    assert simulated.items() <= digests(dataset).items()
+    assert simulated.items() <= digests(phone_root).items()
 
 
 def test_again_is_up_to_date_other_options_are_refused_and_force_replaces(tmp_path: Path) -> None:
@@ -198,20 +198,20 @@ def test_more_recordings_are_added_to_existing_ones(tmp_path: Path) -> None:
     assert Dataset(tmp_path / "d").items("scene") == ["phone_scan0", "phone_scan1"]
 
 
-def test_options_of_scans_do_not_change_a_demonstration(dataset: Path, tmp_path: Path) -> None:
+def test_options_of_scans_do_not_change_a_demonstration(phone_root: Path, tmp_path: Path) -> None:
     made(tmp_path / "d", 0, 1, frames=9, gripper_in_view=True)
     assert made(tmp_path / "d", 0, 1) == ["up to date demonstration phone_demo0"]
-    assert digests(tmp_path / "d").items() <= digests(dataset).items()
+    assert digests(tmp_path / "d").items() <= digests(phone_root).items()
 
 
 @pytest.mark.parametrize(
     "defect", [{"depth_noise": 0.02}, {"flying": 0.5}, {"holes": 0.2}, {"pose_noise": 1.0}], ids=lambda d: next(iter(d))
 )
 def test_defects_change_the_recording_and_not_ground_truth(
-    dataset: Path, tmp_path: Path, defect: dict[str, float]
+    phone_root: Path, tmp_path: Path, defect: dict[str, float]
 ) -> None:
     made(tmp_path / "d", **defect)
-    defective, plain = digests(tmp_path / "d"), digests(dataset)
+    defective, plain = digests(tmp_path / "d"), digests(phone_root)
     assert defective["truth/phone_scan0"] == plain["truth/phone_scan0"]
     assert defective["scan/phone_scan0"] != plain["scan/phone_scan0"]
 
@@ -360,7 +360,7 @@ def test_a_request_for_no_recording_is_refused(tmp_path: Path) -> None:
         made(tmp_path / "d", 0, 0)
 
 
-def test_dvc_makes_a_simulated_recording_again_by_name(dataset: Path, tmp_path: Path) -> None:
+def test_dvc_makes_a_simulated_recording_again_by_name(phone_root: Path, tmp_path: Path) -> None:
     made(tmp_path / "d", gripper_in_view=True, cameras=("wrist",))
     described = yaml.safe_load(render(Dataset(tmp_path / "d"), STAGES, {})["dvc.yaml"])["stages"]
     [stage] = [stage for stage in described.values() if "ingest" in stage["cmd"]]

@@ -99,13 +99,13 @@ def cameras():
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory, cameras):
+def scanned_blocks(tmp_path_factory, cameras):
     return dataset_of(tmp_path_factory.mktemp("scan") / "d", cameras)
 
 
 @pytest.mark.parametrize("use_surface", [True, False])
-def test_matches_are_where_the_surface_is(dataset, cameras, use_surface):
-    result = made(dataset, use_surface=use_surface)
+def test_matches_are_where_the_surface_is(scanned_blocks, cameras, use_surface):
+    result = made(scanned_blocks, use_surface=use_surface)
     pairs, matches = result.pairs().to_pylist(), result.matches()
     assert len(pairs) == 20
     assert len(matches) > 1000
@@ -123,8 +123,8 @@ def test_matches_are_where_the_surface_is(dataset, cameras, use_surface):
         np.testing.assert_array_equal(mine["instance"].to_numpy(), hits.argmin(axis=0))
 
 
-def test_every_attempt_is_accounted_for(dataset):
-    result = made(dataset)
+def test_every_attempt_is_accounted_for(scanned_blocks):
+    result = made(scanned_blocks)
     numbers, pairs, rejections = result.metadata, result.pairs().to_pylist(), result.rejections()
     assert sum(row["n_attempts"] for row in pairs) == numbers.n_attempts
     assert numbers.n_matches + sum(numbers.rejections.values()) == numbers.n_attempts
@@ -142,8 +142,8 @@ def test_the_reasons_are_those_of_the_core():
     assert get_args(Rejection) == REJECTIONS
 
 
-def test_the_summary_says_what_became_of_the_pixels(dataset):
-    result = made(dataset)
+def test_the_summary_says_what_became_of_the_pixels(scanned_blocks):
+    result = made(scanned_blocks)
     first, *rows = result.summary()
     assert first == f"20 pairs of frames, {result.metadata.n_attempts} pixels tried"
     assert rows[0].split() == [
@@ -168,27 +168,27 @@ def test_the_command_shows_the_table_and_has_it_as_json(tmp_path, cameras):
     assert json.loads(again.stdout)["outcomes"][0]["metadata"] == outcome["metadata"]
 
 
-def test_a_row_group_holds_whole_pairs(dataset, monkeypatch):
+def test_a_row_group_holds_whole_pairs(scanned_blocks, monkeypatch):
     monkeypatch.setattr(kind, "ROWS_PER_GROUP", 300)
-    file = pq.ParquetFile(made(dataset).path / "matches.parquet")
+    file = pq.ParquetFile(made(scanned_blocks).path / "matches.parquet")
     groups = [file.read_row_group(i)["pair"].to_pylist() for i in range(file.num_row_groups)]
     assert len(groups) > 2
     assert all(300 <= len(group) < 400 for group in groups[:-1])
     assert sum(len(set(group)) for group in groups) == len(set().union(*groups))
 
 
-def test_what_is_written_does_not_hang_on_when(dataset, monkeypatch):
-    whole = made(dataset).rejections()
+def test_what_is_written_does_not_hang_on_when(scanned_blocks, monkeypatch):
+    whole = made(scanned_blocks).rejections()
     monkeypatch.setattr(kind, "TABLES_KEPT", 3)
     monkeypatch.setattr(kind, "ROWS_PER_GROUP", 7)
-    parts = made(dataset)
+    parts = made(scanned_blocks)
     assert parts.rejections().equals(whole)
     assert parts.pairs()["pair"].to_pylist() == list(range(20))
 
 
-def test_same_seed_same_bytes_and_another_seed_others(dataset):
-    assert run(dataset).digest == run(dataset).digest
-    assert run(dataset).digest != run(dataset, seed=1).digest
+def test_same_seed_same_bytes_and_another_seed_others(scanned_blocks):
+    assert run(scanned_blocks).digest == run(scanned_blocks).digest
+    assert run(scanned_blocks).digest != run(scanned_blocks, seed=1).digest
 
 
 def cameras_without_ties():

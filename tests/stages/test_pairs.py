@@ -1,22 +1,15 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from bask_data.dataset import Dataset
 from bask_data.kinds import Correspondences, Scan, VisibleMasks
 from bask_data.stages.pairs import Pairs, ScanPairs
 from tests.nn.pairs import ScenePairs
-from tests.stages.learning import learning_dataset
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory) -> Dataset:
-    return learning_dataset(tmp_path_factory.mktemp("pairs") / "d", ("a", "b"))
-
-
-def test_pairs_are_those_of_the_correspondences(dataset):
-    pairs = scan_pairs(dataset)
+def test_pairs_are_those_of_the_correspondences(learnable):
+    pairs = scan_pairs(learnable)
     source = ScenePairs(5, 0)
     assert pairs.n_pairs == source.n_pairs
     for i in (0, 7, 19):
@@ -25,8 +18,8 @@ def test_pairs_are_those_of_the_correspondences(dataset):
             np.testing.assert_allclose(getattr(found, name), getattr(known, name), atol=1e-5)
 
 
-def test_matches_follow_when_frames_are_shrunk(dataset):
-    pairs = scan_pairs(dataset)
+def test_matches_follow_when_frames_are_shrunk(learnable):
+    pairs = scan_pairs(learnable)
     whole = pairs.pair(3)
     pairs.shrink_to((48, 64))
     shrunk = pairs.pair(3)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,31 +13,20 @@ from bask_data.core.geometry import invert_rigid, project, transform
 from bask_data.dataset import Dataset
 from bask_data.engine import make, plan, state_of
 from bask_data.kinds import Demonstration, DescriptorNet, ReferenceKeypoints, Scan, VisibleMasks
-from bask_data.nn.network import DescriptorNetwork, NetworkSettings
 from bask_data.progress import listened_by
 from bask_data.stages.reference import as_text, parsed, reference
-from tests.datasets import publish_artifact
+from tests.datasets import copied, publish_artifact
 from tests.nn import pairs
+from tests.picker.pickable import untrained
 from tests.stages.learning import learning_dataset, publish_views
 
 GOLDEN = Path(__file__).parent / "golden"
 
 
-def untrained() -> DescriptorNetwork:
-    torch.manual_seed(0)
-    return DescriptorNetwork(NetworkSettings("resnet18", descriptor_dim=8, height=48)).eval()
-
-
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory) -> Dataset:
-    dataset = learning_dataset(tmp_path_factory.mktemp("reference") / "d", ("a", "b"), n_views=4)
-
-    def fill(out):
-        untrained().save(out)
-        DescriptorNet.write(out, validated_on="nothing", metrics={}, curve=[(1, "loss", 0.0)])
-
-    publish_artifact(dataset, DescriptorNet, "", fill)
-    return dataset
+def picked_on(pickable, tmp_path_factory) -> Dataset:
+    """Two scans, a demonstration, a network, and the references that these tests make."""
+    return copied(pickable, tmp_path_factory.mktemp("reference") / "d")
 
 
 def made(dataset: Dataset, **options):
@@ -51,8 +40,8 @@ def keypoints(dataset: Dataset, **options) -> ReferenceKeypoints:
     return ReferenceKeypoints(dataset.path(ReferenceKeypoints))
 
 
-def test_keypoints_lie_on_the_objects_with_measured_depth(dataset):
-    found = keypoints(dataset, n=8)
+def test_keypoints_lie_on_the_objects_with_measured_depth(picked_on):
+    found = keypoints(picked_on, n=8)
     _, world_from_cameras, images = pairs.views(4, 0)
     assert found.descriptors.shape == (8, 8)
     # Three objects share eight points.
@@ -69,8 +58,8 @@ def test_keypoints_lie_on_the_objects_with_measured_depth(dataset):
         assert z == pytest.approx(image.depth[row, column], abs=1e-4)
 
 
-def test_descriptors_are_those_of_the_network_at_the_picks(dataset):
-    found = keypoints(dataset, n=4)
+def test_descriptors_are_those_of_the_network_at_the_picks(picked_on):
+    found = keypoints(picked_on, n=4)
     _, _, images = pairs.views(4, 0)
     for pick, descriptor in zip(found.picks, found.descriptors, strict=True):
         uv = np.array([[pick.u, pick.v]], np.float32)
@@ -78,17 +67,17 @@ def test_descriptors_are_those_of_the_network_at_the_picks(dataset):
         np.testing.assert_allclose(descriptor, expected.numpy(), atol=1e-4)
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_other_points(dataset):
-    first = made(dataset, n=4, seed=1)
-    assert made(dataset, n=4, seed=1).digest == first.digest
-    assert made(dataset, n=4, seed=2).digest != first.digest
+def test_the_same_seed_gives_the_same_bytes_and_another_other_points(picked_on):
+    first = made(picked_on, n=4, seed=1)
+    assert made(picked_on, n=4, seed=1).digest == first.digest
+    assert made(picked_on, n=4, seed=2).digest != first.digest
 
 
-def test_progress_is_told_several_times_an_object_and_ends_where_it_said(dataset):
+def test_progress_is_told_several_times_an_object_and_ends_where_it_said(picked_on):
     calls = []
     with listened_by(lambda *call: calls.append(call)):
-        made(dataset, n=4)
-        made(dataset, picks=("a:wrist:1:40.5:50:corner", "b:wrist:0:10:20"))
+        made(picked_on, n=4)
+        made(picked_on, picks=("a:wrist:1:40.5:50:corner", "b:wrist:0:10:20"))
     chosen = [(done, total) for label, done, total in calls if label == "choosing keypoints"]
     assert len(chosen) > 15 * 3
     assert chosen == sorted(chosen)
@@ -98,21 +87,21 @@ def test_progress_is_told_several_times_an_object_and_ends_where_it_said(dataset
     ]
 
 
-def test_scene_and_instances_can_be_named(dataset):
-    found = keypoints(dataset, n=3, scene="b", instances=(2,))
+def test_scene_and_instances_can_be_named(picked_on):
+    found = keypoints(picked_on, n=3, scene="b", instances=(2,))
     assert {(pick.recording, pick.instance) for pick in found.picks} == {("b", 2)}
 
 
-def test_points_of_an_object_are_spread_over_it(dataset):
-    points = np.array([pick.point_world for pick in keypoints(dataset, n=6, instances=(1,)).picks])
+def test_points_of_an_object_are_spread_over_it(picked_on):
+    points = np.array([pick.point_world for pick in keypoints(picked_on, n=6, instances=(1,)).picks])
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1)[np.triu_indices(6, 1)]
     # The objects measure 4 to 12 cm.
     assert apart.min() > 0.005
     assert apart.max() > 0.025
 
 
-def test_points_by_hand_are_taken_as_they_are(dataset):
-    found = keypoints(dataset, picks=("a:wrist:1:40.5:50:corner", "b:wrist:0:10:20"))
+def test_points_by_hand_are_taken_as_they_are(picked_on):
+    found = keypoints(picked_on, picks=("a:wrist:1:40.5:50:corner", "b:wrist:0:10:20"))
     assert found.names == ["corner", "point_1"]
     first, second = found.picks
     assert (first.recording, first.frame, first.u, first.v) == ("a", 1, 40.5, 50.0)
@@ -123,13 +112,15 @@ def test_points_by_hand_are_taken_as_they_are(dataset):
     np.testing.assert_allclose(found.descriptors[0], expected.numpy(), atol=1e-4)
 
 
-def test_points_by_hand_may_lie_in_demonstrations(dataset, tmp_path):
-    copy = Dataset(shutil.copytree(dataset.root, tmp_path / "copy"))
+def test_points_by_hand_may_lie_in_demonstrations(picked_on, tmp_path):
+    copy = copied(picked_on, tmp_path / "copy")
     _, world_from_cameras, images = pairs.views(2, 7)
-    images[1].depth[20, 30] = 0
-    publish_views(copy, "lift", pairs.K, world_from_cameras, images, Demonstration)
-    found = keypoints(copy, picks=("lift:wrist:1:40:50:corner", "lift:wrist:1:30:20:hole", "b:wrist:0:40:50"))
-    assert [pick.recording for pick in found.picks] == ["lift", "lift", "b"]
+    depth = images[1].depth.copy()
+    depth[20, 30] = 0
+    images = [images[0], replace(images[1], depth=depth)]
+    publish_views(copy, "reach", pairs.K, world_from_cameras, images, Demonstration)
+    found = keypoints(copy, picks=("reach:wrist:1:40:50:corner", "reach:wrist:1:30:20:hole", "b:wrist:0:40:50"))
+    assert [pick.recording for pick in found.picks] == ["reach", "reach", "b"]
     corner, hole, _ = found.picks
     # A demonstration has no masks.
     assert (corner.instance, hole.point_world) == (0, None)
@@ -138,11 +129,11 @@ def test_points_by_hand_may_lie_in_demonstrations(dataset, tmp_path):
     assert z == pytest.approx(images[1].depth[50, 40], abs=1e-4)
     expected = untrained().descriptors_at(images[1].rgb, np.array([[40, 50]], np.float32))[0]
     np.testing.assert_allclose(found.descriptors[0], expected.numpy(), atol=1e-4)
-    assert sorted(found.manifest.inputs) == ["demonstration/lift", "descriptor/main", "masks/b", "scan/b"]
+    assert sorted(found.manifest.inputs) == ["demonstration/reach", "descriptor/main", "masks/b", "scan/b"]
 
 
-def test_other_recordings_do_not_make_points_by_hand_stale(dataset, tmp_path):
-    copy = Dataset(shutil.copytree(dataset.root, tmp_path / "copy"))
+def test_other_recordings_do_not_make_points_by_hand_stale(picked_on, tmp_path):
+    copy = copied(picked_on, tmp_path / "copy")
     picks = {"picks": ("a:wrist:1:40.5:50",)}
     keypoints(copy, **picks)
     without_objects(copy, "b")
@@ -150,15 +141,15 @@ def test_other_recordings_do_not_make_points_by_hand_stale(dataset, tmp_path):
     assert state_of(task).status == "up to date"
 
 
-def test_a_pick_is_written_as_it_is_read(dataset):
-    recordings = {"a": Scan(dataset.path(Scan, "a"))}
+def test_a_pick_is_written_as_it_is_read(picked_on):
+    recordings = {"a": Scan(picked_on.path(Scan, "a"))}
     text = "a:wrist:1:40.5:50:top corner"
     assert as_text(parsed(text, "", recordings)[0]) == text
 
 
-def test_automatic_choice_goes_over_picks(dataset):
-    automatic = keypoints(dataset, n=3)
-    assert keypoints(dataset, n=3, picks=("a:wrist:1:40.5:50",), auto=True).picks == automatic.picks
+def test_automatic_choice_goes_over_picks(picked_on):
+    automatic = keypoints(picked_on, n=3)
+    assert keypoints(picked_on, n=3, picks=("a:wrist:1:40.5:50",), auto=True).picks == automatic.picks
 
 
 class Colours:
@@ -214,8 +205,8 @@ def test_golden(tmp_path, monkeypatch):
         ({"picks": ("a:wrist:0:2:3:p", "a:wrist:0:5:3:p")}, r"picks: expected names that differ, got p twice"),
     ],
 )
-def test_what_does_not_exist_is_refused(dataset, options, message):
-    outcome = made(dataset, **options)
+def test_what_does_not_exist_is_refused(picked_on, options, message):
+    outcome = made(picked_on, **options)
     assert outcome.status == "failed"
     assert re.search(message, outcome.why), outcome.why
 
@@ -233,8 +224,8 @@ def without_objects(dataset: Dataset, name: str) -> None:
     publish_artifact(dataset, VisibleMasks, name, fill)
 
 
-def test_scenes_without_objects_are_passed_over(dataset, tmp_path):
-    copy = Dataset(shutil.copytree(dataset.root, tmp_path / "copy"))
+def test_scenes_without_objects_are_passed_over(picked_on, tmp_path):
+    copy = copied(picked_on, tmp_path / "copy")
     names = copy.items("scene")
     without_objects(copy, names[0])
     assert {pick.recording for pick in keypoints(copy).picks} == {names[1]}

@@ -31,6 +31,7 @@ from bask_data.nn.training import TrainingSettings
 from bask_data.progress import listen
 from bask_data.stages import train as train_module
 from bask_data.stages.train import TrainParams, train
+from tests.datasets import copied
 from tests.nn.pairs import SIZE
 from tests.stages.learning import SMALL, learning_dataset
 
@@ -43,19 +44,20 @@ def made(dataset: Dataset, **options):
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory) -> Dataset:
-    return learning_dataset(tmp_path_factory.mktemp("train") / "d", ("a", "b"))
+def learned_from(learnable, tmp_path_factory) -> Dataset:
+    """Two scans, and the networks that these tests train on them."""
+    return copied(learnable, tmp_path_factory.mktemp("train") / "d")
 
 
 @pytest.fixture(scope="module")
-def trained(dataset):
-    outcome = made(dataset)
+def trained(learned_from):
+    outcome = made(learned_from)
     assert outcome.status == "made", outcome.why
     return outcome
 
 
-def test_a_network_is_made_that_describes_images(dataset, trained):
-    descriptor = DescriptorNet(dataset.path(DescriptorNet))
+def test_a_network_is_made_that_describes_images(learned_from, trained):
+    descriptor = DescriptorNet(learned_from.path(DescriptorNet))
     network = load(descriptor.path, "cpu")
     assert network.describe(np.zeros((*SIZE, 3), np.uint8)).shape == (8, 32, 40)
     assert sorted(file.name for file in descriptor.path.iterdir()) == [
@@ -74,19 +76,19 @@ def test_a_network_is_made_that_describes_images(dataset, trained):
     assert descriptor.curve()["step"].to_pylist()[-1] == 4
 
 
-def test_training_again_gives_the_same_bytes(dataset, trained):
-    [task] = plan(dataset, train, options=SMALL)
+def test_training_again_gives_the_same_bytes(learned_from, trained):
+    [task] = plan(learned_from, train, options=SMALL)
     assert make(task).status == "up to date"
     assert make(task, force=True).digest == trained.digest
 
 
-def test_weights_may_be_read_by_whom_all_else_may(dataset, trained):
-    modes = {file.name: file.stat().st_mode for file in dataset.path(DescriptorNet).iterdir()}
+def test_weights_may_be_read_by_whom_all_else_may(learned_from, trained):
+    modes = {file.name: file.stat().st_mode for file in learned_from.path(DescriptorNet).iterdir()}
     assert modes["weights.safetensors"] == modes["model.json"]
 
 
-def test_weights_with_a_spoilt_number_are_not_used(dataset, trained, tmp_path):
-    path = shutil.copytree(dataset.path(DescriptorNet), tmp_path / "main")
+def test_weights_with_a_spoilt_number_are_not_used(learned_from, trained, tmp_path):
+    path = shutil.copytree(learned_from.path(DescriptorNet), tmp_path / "main")
     content = bytearray((path / "weights.safetensors").read_bytes())
     content[-100] ^= 1
     (path / "weights.safetensors").write_bytes(content)
@@ -95,8 +97,8 @@ def test_weights_with_a_spoilt_number_are_not_used(dataset, trained, tmp_path):
         DescriptorNet(path).network()
 
 
-def test_a_state_that_a_disk_has_spoilt_costs_no_more_than_time(dataset, trained):
-    [task] = plan(dataset, train, options=SMALL)
+def test_a_state_that_a_disk_has_spoilt_costs_no_more_than_time(learned_from, trained):
+    [task] = plan(learned_from, train, options=SMALL)
     scratch = task.resumable_scratch(digest_of(key_parts(task)))
     scratch.mkdir(parents=True)
     (scratch / "state.safetensors").write_bytes(b"spoilt")
@@ -110,9 +112,9 @@ def test_a_state_that_a_disk_has_spoilt_costs_no_more_than_time(dataset, trained
     assert not scratch.exists()
 
 
-def test_another_training_of_the_same_network_is_waited_for_and_it_is_told(dataset, trained):
-    [task] = plan(dataset, train, options={**SMALL, "seed": 11})
-    other = FileLock(dataset.root / ".scratch" / "resume~descriptor~main~~.lock", thread_local=False)
+def test_another_training_of_the_same_network_is_waited_for_and_it_is_told(learned_from, trained):
+    [task] = plan(learned_from, train, options={**SMALL, "seed": 11})
+    other = FileLock(learned_from.root / ".scratch" / "resume~descriptor~main~~.lock", thread_local=False)
     told: list[str] = []
 
     def hear(line: str) -> None:
@@ -127,14 +129,14 @@ def test_another_training_of_the_same_network_is_waited_for_and_it_is_told(datas
         listen(None)
         other.release()
     assert told[0] == "train: waiting for another process that is making it"
-    assert made(dataset).status == "made"
+    assert made(learned_from).status == "made"
 
 
-def test_without_other_scenes_the_last_frames_are_held_out_and_it_says_so(dataset, trained):
-    words = DescriptorNet(dataset.path(DescriptorNet)).metadata.validated_on
+def test_without_other_scenes_the_last_frames_are_held_out_and_it_says_so(learned_from, trained):
+    words = DescriptorNet(learned_from.path(DescriptorNet)).metadata.validated_on
     # 15 % of 5 frames is one; a pair holds it in 8 of 20 cases, in each of two scenes.
     assert words == "held-out frames: the last 2 of 10 (16 pairs), of scenes that were trained on"
-    assert DescriptorNet(dataset.path(DescriptorNet)).metadata.held_out == TrainParams().held_out
+    assert DescriptorNet(learned_from.path(DescriptorNet)).metadata.held_out == TrainParams().held_out
 
 
 def test_with_scenes_for_validation_those_are_held_out(tmp_path):
@@ -170,20 +172,20 @@ def scalars(folder: Path) -> dict[tuple[str, int], float]:
     return found
 
 
-def test_tensorboard_files_tell_the_curve_and_the_speed_outside_the_artifact(dataset, trained):
-    found = scalars(dataset.root / "runs/descriptor/main")
-    rows = DescriptorNet(dataset.path(DescriptorNet)).curve().to_pylist()
+def test_tensorboard_files_tell_the_curve_and_the_speed_outside_the_artifact(learned_from, trained):
+    found = scalars(learned_from.root / "runs/descriptor/main")
+    rows = DescriptorNet(learned_from.path(DescriptorNet)).curve().to_pylist()
     for row in rows:
         name = row["name"]
         tag = name.replace("validation_", "validation/") if "validation" in name else f"train/{name}"
         assert found.pop((tag, row["step"])) == row["value"]
     assert {tag for tag, _ in found} == {"speed/images_per_second", "speed/share_waited"}
-    cost = json.loads((dataset.root / "runs/descriptor/main/run.json").read_text())
+    cost = json.loads((learned_from.root / "runs/descriptor/main/run.json").read_text())
     assert cost.keys() == {"device", "processes", "images_per_second", "share_waited"}
     assert cost["processes"] == 1
 
 
-def test_interrupted_it_goes_on_and_ends_the_same(dataset, trained, tmp_path, monkeypatch):
+def test_interrupted_it_goes_on_and_ends_the_same(learned_from, trained, tmp_path, monkeypatch):
     from bask_data.nn import training
 
     other = learning_dataset(tmp_path / "d", ("a", "b"))
@@ -197,12 +199,12 @@ def test_interrupted_it_goes_on_and_ends_the_same(dataset, trained, tmp_path, mo
     monkeypatch.setattr(training._Run, "learn", lambda run, step, some: learned.append(step) or learn(run, step, some))
     assert made(other).status == "made"
     assert learned == [2, 3]
-    assert digest(other) == digest(dataset)
-    names = {file.name for file in dataset.path(DescriptorNet).iterdir()}
+    assert digest(other) == digest(learned_from)
+    names = {file.name for file in learned_from.path(DescriptorNet).iterdir()}
     assert {file.name for file in other.path(DescriptorNet).iterdir()} == names
     whole, found = (
         {key: value for key, value in scalars(some.root / "runs/descriptor/main").items() if "speed" not in key[0]}
-        for some in (dataset, other)
+        for some in (learned_from, other)
     )
     assert found == whole
 
@@ -228,7 +230,7 @@ def test_trained_anew_it_forgets_what_an_earlier_run_logged(tmp_path):
     assert len(list((dataset.root / "runs/descriptor/main").glob("events*"))) == 1
 
 
-def test_the_weights_that_validated_best_are_published_and_it_is_said(dataset, monkeypatch):
+def test_the_weights_that_validated_best_are_published_and_it_is_said(learned_from, monkeypatch):
     from bask_data.nn import validation
 
     verdicts = iter([0.1, 0.9, 0.2, 0.3])
@@ -239,9 +241,9 @@ def test_the_weights_that_validated_best_are_published_and_it_is_said(dataset, m
         return {"validation_pck_8": next(verdicts)}
 
     monkeypatch.setattr(validation, "validation_metrics", judged)
-    outcome = made(dataset, best_by="pck_8", validations=4)
+    outcome = made(learned_from, best_by="pck_8", validations=4)
     assert outcome.status == "made", outcome.why
-    descriptor = DescriptorNet(dataset.path(DescriptorNet))
+    descriptor = DescriptorNet(learned_from.path(DescriptorNet))
     assert (descriptor.metadata.step, descriptor.metadata.chosen_by) == (2, "validation_pck_8")
     assert descriptor.metadata.metrics["validation_pck_8"] == 0.9
     for name, value in load(descriptor.path, "cpu").encoder.state_dict().items():
@@ -257,9 +259,9 @@ def test_the_weights_that_validated_best_are_published_and_it_is_said(dataset, m
     assert sum("\u2801" <= character <= "\u28ff" for character in drawn) > 20
 
 
-def test_the_last_weights_are_published_where_none_are_chosen(dataset):
-    assert made(dataset, best_by="none", steps=2).status == "made"
-    descriptor = DescriptorNet(dataset.path(DescriptorNet))
+def test_the_last_weights_are_published_where_none_are_chosen(learned_from):
+    assert made(learned_from, best_by="none", steps=2).status == "made"
+    descriptor = DescriptorNet(learned_from.path(DescriptorNet))
     assert (descriptor.metadata.step, descriptor.metadata.chosen_by) == (2, None)
     assert descriptor.summary()[1] == "weights of step 2 of 2: the last"
 
@@ -369,7 +371,7 @@ def test_what_pretrained_weights_are_best_served_with_is_the_default():
     assert of(scratch, "cpu").precision == "auto"
 
 
-def test_a_step_looks_at_a_share_of_the_image_as_large_as_all_of_it_would_show(dataset, monkeypatch):
+def test_a_step_looks_at_a_share_of_the_image_as_large_as_all_of_it_would_show(learned_from, monkeypatch):
     seen = {}
 
     def look(network, source, sample, augment, *rest, **options):
@@ -378,7 +380,7 @@ def test_a_step_looks_at_a_share_of_the_image_as_large_as_all_of_it_would_show(d
 
     monkeypatch.setattr("bask_data.nn.training.train_network", look)
     for share, size, enlarged in ((1.0, (32, 40), 1), (0.5, (16, 24), 2)):
-        made(dataset, seed=9, crop_share=share)
+        made(learned_from, seed=9, crop_share=share)
         assert seen == {"size": size, "zoom": (0.7 * enlarged, 2.0 * enlarged)}
 
 
@@ -393,9 +395,9 @@ def test_a_step_looks_at_a_share_of_the_image_as_large_as_all_of_it_would_show(d
         ({"patience": 2, "best_by": "none"}, r"patience: expected a --best-by other than none, .*, got 2"),
     ],
 )
-def test_what_clashes_is_refused_before_anything_is_done(dataset, options, message):
+def test_what_clashes_is_refused_before_anything_is_done(learned_from, options, message):
     with pytest.raises(UsageError, match=message):
-        plan(dataset, train, options={**SMALL, **options})
+        plan(learned_from, train, options={**SMALL, **options})
 
 
 def test_patience_without_anything_to_validate_on_is_refused(tmp_path):
@@ -404,21 +406,21 @@ def test_patience_without_anything_to_validate_on_is_refused(tmp_path):
     assert "train: patience: expected matches to validate on, got nothing: no scene and no frame" in why
 
 
-def test_more_processes_than_pairs_are_refused(dataset, monkeypatch):
+def test_more_processes_than_pairs_are_refused(learned_from, monkeypatch):
     from bask_data.nn import processes
 
     monkeypatch.setattr(train_module, "processes", lambda: 2)
     monkeypatch.setattr(processes, "joined", lambda: nullcontext(Group(0, 2)))
     expected = "train: torchrun: expected at most one for each of the batch's 1 pairs, got 2."
-    assert made(dataset, seed=7).why == f"{expected}  fix: give torchrun a smaller --nproc-per-node."
+    assert made(learned_from, seed=7).why == f"{expected}  fix: give torchrun a smaller --nproc-per-node."
 
 
-def test_a_group_of_processes_does_not_wait_for_another(dataset, monkeypatch):
+def test_a_group_of_processes_does_not_wait_for_another(learned_from, monkeypatch):
     from bask_data.engine import resumable
 
     monkeypatch.setattr(resumable, "processes", lambda: 2)
-    with FileLock(dataset.root / ".scratch" / "resume~descriptor~main~~.lock"):
-        outcome = made(dataset, seed=8)
+    with FileLock(learned_from.root / ".scratch" / "resume~descriptor~main~~.lock"):
+        outcome = made(learned_from, seed=8)
     message = "train: expected no other process making it, got one that is running.  fix: wait until it has finished."
     assert outcome.why == message
 
@@ -443,19 +445,19 @@ def test_pretrained_weights_are_taken_over(tmp_path):
         ({"learning_rate": 1e30, "schedule": "step"}, r"train: learning_rate: got loss is .* try a smaller one"),
     ],
 )
-def test_what_cannot_work_is_refused(dataset, options, message):
-    outcome = made(dataset, **options)
+def test_what_cannot_work_is_refused(learned_from, options, message):
+    outcome = made(learned_from, **options)
     assert outcome.status == "failed"
     assert re.search(message, outcome.why)
 
 
-def test_broken_or_foreign_weights_are_refused(dataset, tmp_path):
+def test_broken_or_foreign_weights_are_refused(learned_from, tmp_path):
     (tmp_path / "broken.pth").write_bytes(b"nothing")
-    outcome = made(dataset, weights=str(tmp_path / "broken.pth"))
+    outcome = made(learned_from, weights=str(tmp_path / "broken.pth"))
     assert "broken.pth: expected weights of a resnet18, got" in outcome.why
     state = DenseResNet(18, 8).state_dict()
     torch.save({name: value for name, value in state.items() if not name.startswith("layer4")}, tmp_path / "part.pth")
-    outcome = made(dataset, weights=str(tmp_path / "part.pth"))
+    outcome = made(learned_from, weights=str(tmp_path / "part.pth"))
     assert "expected weights of a resnet18, got weights without layer4.0.conv1.weight (25 tensors" in outcome.why
 
 
@@ -471,11 +473,11 @@ def test_a_dataset_with_all_pairs_held_out_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("loss", ["infonce", "contrastive"])
-def test_golden(dataset, loss):
+def test_golden(learned_from, loss):
     """If this differs, mend the code, or raise the stage's version and write the file anew."""
-    outcome = made(dataset, loss=loss, steps=2, non_matches=20, held_out=0.0)
+    outcome = made(learned_from, loss=loss, steps=2, non_matches=20, held_out=0.0)
     assert outcome.status == "made", outcome.why
-    curve = DescriptorNet(dataset.path(DescriptorNet)).curve()
+    curve = DescriptorNet(learned_from.path(DescriptorNet)).curve()
     values = dict(zip(curve["name"].to_pylist(), curve["value"].to_numpy(), strict=True))
     file = GOLDEN / f"train_{loss}_v{train.version}.npz"
     if os.environ.get("BASK_WRITE_GOLDEN"):
@@ -487,8 +489,8 @@ def test_golden(dataset, loss):
         np.testing.assert_allclose(values[name], golden[name], rtol=1e-3, err_msg=name)
 
 
-def test_the_model_is_described(dataset, trained):
-    model = json.loads((dataset.path(DescriptorNet) / "model.json").read_text())
+def test_the_model_is_described(learned_from, trained):
+    model = json.loads((learned_from.path(DescriptorNet) / "model.json").read_text())
     assert model["backbone"] == "resnet18"
     assert model["descriptor_dim"] == 8
     assert model["height"] == 32

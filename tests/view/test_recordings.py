@@ -395,23 +395,16 @@ def test_the_gripper_moves_and_its_width_and_actions_are_plotted(filled: Dataset
 # Heat maps ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def described(filled: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    dataset = copied(filled, tmp_path_factory.mktemp("described") / "dataset")
-    publish_network(dataset)
-    return dataset
-
-
-def test_each_keypoint_has_its_heat_map_best_match_and_ground_truth(described, tmp_path):
-    found, saved = save(described, tmp_path, "scan-a", "demo-a")
-    picks = ReferenceKeypoints(described.path(ReferenceKeypoints)).picks
-    finder = Finder(described, "main", DescriptorNet(described.path(DescriptorNet)), picks)
+def test_each_keypoint_has_its_heat_map_best_match_and_ground_truth(filled_with_network, tmp_path):
+    found, saved = save(filled_with_network, tmp_path, "scan-a", "demo-a")
+    picks = ReferenceKeypoints(filled_with_network.path(ReferenceKeypoints)).picks
+    finder = Finder(filled_with_network, "main", DescriptorNet(filled_with_network.path(DescriptorNet)), picks)
     states = set()
     for item, n_frames in (("scan-a", 6), ("demo-a", 5)):
         assert "heat maps" in found[item].layers
-        recording = find_recording(described, item)
+        recording = find_recording(filled_with_network, item)
         assert recording is not None
-        (camera,), places = recording.cameras, TruePlaces(described, picks, item)
+        (camera,), places = recording.cameras, TruePlaces(filled_with_network, picks, item)
         for i_frame in range(n_frames):
             sight, truth = finder.look(camera.rgb(i_frame), [0, 1]), places.pixels(camera, i_frame)
             for i, name in enumerate(("1 corner", "2 side")):
@@ -440,9 +433,9 @@ def escaped(name: str) -> str:
     return name.replace(" ", "\\ ")
 
 
-def test_long_recordings_have_heat_maps_of_some_frames(described, tmp_path, monkeypatch):
+def test_long_recordings_have_heat_maps_of_some_frames(filled_with_network, tmp_path, monkeypatch):
     monkeypatch.setattr("bask_data.view.heat.N_HEATED_FRAMES", 2)
-    _, saved = save(described, tmp_path, "scan-a", every=2)
+    _, saved = save(filled_with_network, tmp_path, "scan-a", every=2)
     assert sorted(saved.all(f"/scan-a/heat/wrist/{escaped('1 corner')}/map", "EncodedImage:blob")) == [0, 4]
 
 
