@@ -17,7 +17,8 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 from torch import Tensor
 
-from bask_data.nn.augment import GRAIN, AugmentedView, Layer, grain, grain_of
+from bask_data.nn.augment import AugmentedView, Layer
+from bask_data.nn.augment_look import GRAIN, grain, grain_of
 
 
 def drawn(view: AugmentedView) -> UInt8[ndarray, "h w 3"]:

@@ -18,17 +18,14 @@ from torch import Tensor
 
 from bask_data.core.geometry import in_image
 from bask_data.nn import rendering
-from bask_data.nn.augment import (
-    AugmentedView,
-    AugmentSettings,
-    Layer,
+from bask_data.nn.augment import AugmentedView, AugmentSettings, Layer
+from bask_data.nn.augment_look import random_ground, random_look
+from bask_data.nn.augment_motion import (
     covered,
     layer,
     moved,
     pasting_affine,
     random_affine,
-    random_ground,
-    random_look,
     random_window,
     warped_labels,
 )

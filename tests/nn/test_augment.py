@@ -8,22 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bask_data.core.geometry import in_image, scale_pixels
-from bask_data.nn.augment import (
-    GRAIN,
-    AugmentedView,
-    AugmentSettings,
-    Layer,
-    Look,
-    _pieced,
+from bask_data.nn.augment import AugmentedView, AugmentSettings, Layer, Look
+from bask_data.nn.augment_look import GRAIN, _pieced, grain, grain_of, random_ground, random_look
+from bask_data.nn.augment_motion import (
     covered,
-    grain,
-    grain_of,
     layer,
     moved,
     pasting_affine,
     random_affine,
-    random_ground,
-    random_look,
     random_window,
     warped_labels,
 )

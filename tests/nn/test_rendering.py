@@ -6,7 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bask_data.nn.augment import GRAIN, AugmentedView, Layer, Look
+from bask_data.nn.augment import AugmentedView, Layer, Look
+from bask_data.nn.augment_look import GRAIN
 from bask_data.nn.rendering import drawn, drawn_on, to_device
 
 CPU = torch.device("cpu")
