@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from bask_data.artifact import write_text_atomically
-from bask_data.engine import Config, Stage
+from bask_data.engine import Config, Stage, checked_sections, sections_in, sections_of
 from bask_data.errors import BadData, UsageError
 from bask_data.presets import PresetName, preset
-from bask_data.spelling import suggestion
 
 
 def load_config(
@@ -37,46 +36,7 @@ def load_config(
             fix = "for instance --set reconstruct.voxel_size=0.003"
             raise UsageError("--set", "", expected="stage.field=value", got=assignment, fix=fix)
         config.setdefault(section, {})[field] = _value(text)
-    by_name = {stage.name: stage for stage in stages}
-    where = str(file) if file else "--set"
-    for section, values in config.items():
-        stage = by_name.get(section.split("@")[0])
-        if stage is None:
-            fix = suggestion(section.split("@")[0], by_name)
-            raise UsageError(where, section, expected=f"one of {', '.join(by_name)}", got=section, fix=fix)
-        unknown = [field for field in values if field not in stage.params.model_fields]
-        if unknown:
-            known, got = stage.params.model_fields, str(unknown[0])
-            fix = suggestion(got, known) or f"`bask-data {stage.name} --help` lists them."
-            raise UsageError(where, f"{section}.{got}", expected=f"one of {', '.join(known)}", got=got, fix=fix)
-    return config
-
-
-def sections_of(file: Path) -> Config:
-    """The sections of a YAML file, not checked against the stages.
-
-    Raises:
-        UsageError: the file does not exist.
-        BadData: it is not a YAML mapping of mappings.
-    """
-    import yaml
-
-    try:
-        document = yaml.safe_load(file.read_text(encoding="utf-8")) or {}
-    except FileNotFoundError:
-        raise UsageError(file, "", expected="a YAML file", got="nothing") from None
-    except (yaml.YAMLError, OSError, ValueError, RecursionError) as error:
-        raise BadData(file, "", expected="YAML", got=str(error).replace("\n", " ")) from error
-    return _sections(document, file)
-
-
-def _sections(document: Any, file: Path) -> Config:
-    if not isinstance(document, dict):
-        raise BadData(file, "", expected="a section per stage", got=type(document).__name__)
-    for section, values in document.items():
-        if not isinstance(values, dict | None):
-            raise BadData(file, str(section), expected="parameters by name", got=str(values)[:60])
-    return {str(section): dict(values or {}) for section, values in document.items()}
+    return checked_sections(config, stages, str(file) if file else "--set")
 
 
 def _value(text: str) -> Any:
@@ -156,7 +116,7 @@ def _says(text: str, wanted: Config, file: Path) -> bool:
 
     try:
         root = yaml.compose(text, yaml.SafeLoader)
-        return not _has_key_twice(root) and _sections(yaml.safe_load(text), file) == wanted
+        return not _has_key_twice(root) and sections_in(yaml.safe_load(text), file) == wanted
     except (yaml.YAMLError, BadData):
         return False
 

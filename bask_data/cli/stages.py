@@ -30,7 +30,7 @@ from bask_data.cli.options import (
 from bask_data.cli.picking import pick, pick_options, refuse_without_pick
 from bask_data.cli.running import AFTER_DRY_RUN, made, print_forecast
 from bask_data.cli.working import finish
-from bask_data.engine import Stage, follow, is_follower, run_pipeline
+from bask_data.engine import PARAMS, Stage, follow, is_follower, run_pipeline
 from bask_data.pipeline import STAGES
 from bask_data.presets import PRESETS
 
@@ -118,7 +118,7 @@ def _run(stage: Stage, root: Path, dry_run: bool, force: bool, options: dict[str
             follow(task, force)
         return
     if options.get("pick"):
-        outcomes = pick(call, parameters=options["config"] or root / "params.yaml", dry_run=dry_run, options=options)
+        outcomes = pick(call, parameters=options["config"] or root / PARAMS, dry_run=dry_run, options=options)
         finish(stage.name, outcomes, options["json_"], call.following if outcomes else "")
         return
     refuse_without_pick(options)

@@ -13,7 +13,7 @@ import typer
 
 from bask_data.cli.console import print_result, say
 from bask_data.config import load_config
-from bask_data.engine import Config, Outcome, RunRequest
+from bask_data.engine import PARAMS, Config, Outcome, RunRequest
 from bask_data.errors import UsageError, imported
 from bask_data.pipeline import STAGES
 from bask_data.presets import PresetName
@@ -49,7 +49,7 @@ def parameters_of(
     root: Path, config: Path | None, assignments: Sequence[str], preset: PresetName | None = None
 ) -> Config:
     """Parameters from `--config` or the dataset's own params.yaml, overridden by `--preset` and then `--set`."""
-    own = _own_file(root)
+    own = root / PARAMS
     return load_config(config or (own if own.exists() else None), assignments, STAGES, preset)
 
 
@@ -69,19 +69,15 @@ def request_of(
         defaults: ignore the parameters recorded with the dataset.
         fields: further fields of the request.
     """
-    own = _own_file(root)
+    own = root / PARAMS
     if config is not None and own.exists() and config.resolve() == own.resolve():
         config = None
     return RunRequest(
         given=load_config(config, assignments, STAGES, preset),
-        standing=load_config(own, [], STAGES) if config is None and own.exists() else {},
         replaces=defaults or config is not None,
+        ignores_own_file=config is not None,
         **fields,
     )
-
-
-def _own_file(root: Path) -> Path:
-    return root / "params.yaml"
 
 
 def finish(command: str, outcomes: Sequence[Outcome], as_json: bool, next_command: str = "", **more: Any) -> None:

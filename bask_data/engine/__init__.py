@@ -12,6 +12,7 @@ from bask_data.dataset import Splits
 from bask_data.engine.declare import Stage, in_order, stage
 from bask_data.engine.group import follow, is_follower, processes
 from bask_data.engine.making import Outcome, Position, make, predicted, run
+from bask_data.engine.params_file import PARAMS, checked_sections, own_parameters, sections_in, sections_of
 from bask_data.engine.pipeline import PlannedStage, Standing, planned, run_pipeline, status
 from bask_data.engine.publishing import Origin, published, scratches
 from bask_data.engine.requested import REQUESTED, Requested, RunRequest, read_requested, record_requested
@@ -23,6 +24,7 @@ from bask_data.params import Params
 from bask_data.progress import progress
 
 __all__ = [
+    "PARAMS",
     "REQUESTED",
     "Blocked",
     "Config",
@@ -39,12 +41,14 @@ __all__ = [
     "Standing",
     "State",
     "Task",
+    "checked_sections",
     "follow",
     "in_order",
     "is_follower",
     "key_parts",
     "laid_over",
     "make",
+    "own_parameters",
     "parameter_files",
     "plan",
     "planned",
@@ -59,6 +63,8 @@ __all__ = [
     "run_pipeline",
     "scratches",
     "sections_for",
+    "sections_in",
+    "sections_of",
     "stage",
     "state_of",
     "state_or_blocked",

@@ -10,6 +10,7 @@ from pathlib import Path
 from bask_data.dataset import Dataset, Variant
 from bask_data.engine.declare import Stage
 from bask_data.engine.making import Outcome, Position, predicted, run
+from bask_data.engine.params_file import own_parameters
 from bask_data.engine.requested import Requested, RunRequest, read_requested, record_requested, variant_names
 from bask_data.engine.sections import laid_over
 from bask_data.engine.snapshot import Snapshot
@@ -55,7 +56,7 @@ def planned(dataset: Dataset, stages: Sequence[Stage], request: RunRequest) -> l
 
     Raises:
         UsageError: a stage, item, variant, section or parameter is unknown or invalid.
-        BadData: the parameters recorded with the dataset are invalid.
+        BadData: the dataset's params.yaml, or its record of parameters, is invalid.
     """
     names = [stage.name for stage in stages]
     unknown = [name for name in request.stages if name not in names]
@@ -68,6 +69,7 @@ def planned(dataset: Dataset, stages: Sequence[Stage], request: RunRequest) -> l
     if request.only:
         dataset.select(request.only)
     recorded = read_requested(dataset.root, stages)
+    own = {} if request.ignores_own_file else own_parameters(dataset.root, stages)
     if request.replaces:
         recorded = Requested(files=recorded.files)
     batches = []
@@ -79,7 +81,7 @@ def planned(dataset: Dataset, stages: Sequence[Stage], request: RunRequest) -> l
             tasks = plan(
                 dataset,
                 stage,
-                config=laid_over(request.standing, request.given, stage.name, variant_names(dataset, stage, variant)),
+                config=laid_over(own, request.given, stage.name, variant_names(dataset, stage, variant)),
                 options=request.options,
                 only=items,
                 variant=variant,

@@ -51,7 +51,7 @@ class Requested(BaseModel):
 class RunRequest:
     """A request to make artifacts, with its parameters.
 
-    Precedence: `options`, `given`, `standing`, the parameters recorded with the dataset, the defaults.
+    Precedence: `options`, `given`, the dataset's own params.yaml, the parameters recorded with it, the defaults.
 
     Args:
         stages: names of stages; empty for all.
@@ -60,8 +60,8 @@ class RunRequest:
         variant_inputs: variant of each input kind that has variants.
         options: parameters of the only stage.
         given: parameters by section, from `--config FILE`, `--preset` and `--set`; recorded, like options.
-        standing: parameters by section, from the dataset's own params.yaml; part of the dataset, so not recorded.
         replaces: ignore and replace the recorded parameters of the stages: `--config FILE` or `--defaults`.
+        ignores_own_file: `given` has the parameters of `--config FILE`, which is used instead of params.yaml.
     """
 
     stages: tuple[str, ...] = ()
@@ -70,8 +70,8 @@ class RunRequest:
     variant_inputs: dict[str, str] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
     given: Config = field(default_factory=dict)
-    standing: Config = field(default_factory=dict)
     replaces: bool = False
+    ignores_own_file: bool = False
 
 
 def read_requested(root: Path, stages: Iterable[Stage] = ()) -> Requested:

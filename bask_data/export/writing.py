@@ -10,9 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from bask_data.artifact import SCRATCH, list_files, new_scratch, publish, recover
-from bask_data.config import sections_of
 from bask_data.dataset import Dataset
-from bask_data.engine import plan, state_of
+from bask_data.engine import plan, sections_of, state_of
 from bask_data.errors import BaskError, UsageError, WouldOverwrite
 from bask_data.export.episodes import SINGLE_FILE, SPLITS, Episodes
 from bask_data.export.settings import ExportSettings

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from textwrap import shorten
 from typing import Any
 
-from bask_data.config import load_config
 from bask_data.dataset import Dataset
 from bask_data.engine import Outcome, Position, RunRequest, Stage, Standing, run_pipeline, status
 from bask_data.errors import BaskError, UsageError
@@ -53,7 +52,7 @@ def standings_of(dataset: Dataset, stages: str | Sequence[str], only: str | Sequ
         UsageError: there is no such stage or recording.
     """
     chosen = tuple(stage_named(dataset, name).name for name in _names(stages))
-    return Standings(status(dataset, STAGES, _request(dataset, stages=chosen, only=_names(only))))
+    return Standings(status(dataset, STAGES, RunRequest(stages=chosen, only=_names(only))))
 
 
 def made(
@@ -74,8 +73,7 @@ def made(
         raise UsageError(dataset.root, "run", expected="parameters or a variant of a named stage", got=got, fix=fix)
     inputs = stage_named(dataset, stage).inputs if stage else ()
     with_variants = {given.artifact.kind for given in inputs if given.artifact.has_variants}
-    request = _request(
-        dataset,
+    request = RunRequest(
         stages=_names(stage),
         only=_names(only),
         variant=variant if stage else None,
@@ -110,12 +108,6 @@ def stage_named(dataset: Dataset, name: str) -> Stage:
         fix = suggestion(str(name), stages)
         raise UsageError(dataset.root, "stage", expected=f"one of {', '.join(stages)}", got=name, fix=fix)
     return stages[name]
-
-
-def _request(dataset: Dataset, **asked: Any) -> RunRequest:
-    """What is asked for, beside the dataset's own params.yaml."""
-    own = dataset.root / "params.yaml"
-    return RunRequest(standing=load_config(own, (), STAGES) if own.exists() else {}, **asked)
 
 
 class _Shown:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bask_data.dataset import Dataset
-from bask_data.engine import REQUESTED, Requested, RunRequest, plan, read_requested, run_pipeline, status
+from bask_data.engine import PARAMS, REQUESTED, Requested, RunRequest, plan, read_requested, run_pipeline, status
 from bask_data.engine.sections import Config, laid_over, sections_for, within
 from bask_data.errors import BadData
 from bask_data.kinds import Reconstruction
@@ -100,7 +100,9 @@ def test_the_order_is_option_given_standing_recorded_default(dataset: Dataset) -
 
 
 def test_parameters_of_the_datasets_own_file_are_not_recorded(dataset: Dataset) -> None:
-    made(dataset, standing={"fuse": {"voxel_size": 0.2}})
+    (dataset.root / PARAMS).write_text("fuse: {voxel_size: 0.2}")
+    made(dataset)
+    assert Reconstruction(dataset.path(Reconstruction, "a")).manifest.params["voxel_size"] == 0.2
     assert not (dataset.root / REQUESTED).exists()
 
 
