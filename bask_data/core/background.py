@@ -1,4 +1,4 @@
-"""What is not an object: the support, the walls of a bin or a shelf, and all that is beside or below them."""
+"""The background: the support, the walls of a bin or a shelf, and everything beside or below them."""
 
 from __future__ import annotations
 
@@ -25,52 +25,60 @@ from bask_data.core.planes import (
 Support = Literal["planes", "plane", "none"]
 """The support and walls are background, the support alone is, or nothing is."""
 RIVAL_SHARE = 0.5
-"""A second plane this large beside the support is worth a word: the choice between them was close."""
+"""A second plane with this share of the support's preference is reported: the choice was close. Chosen, sensitivity not
+measured."""
 PLANE_NOISE_SIGMAS = 4.0
-"""Surface further above a plane than this is no noise of the plane."""
+"""Standard deviations of a plane's noise above which surface is not the plane's. Chosen, sensitivity not measured."""
 NOISIEST = 2.5
-"""Times the tolerance of the search that a support may be thick. What is lower than the noise of a bad sensor cannot be
-told from it; the feet of what is higher are taken back by their steepness."""
+"""Greatest thickness of a support, in tolerances of the plane search. What is lower than the noise of a bad sensor
+cannot be distinguished from it; the feet of higher objects are recovered by their slope. Chosen, sensitivity not
+measured."""
 LOWEST_STEP = 3.0
-"""Times the tolerance that a step is above the support; below, it is the support's own noise."""
+"""Least height of a step above the support, in tolerances of the plane search; below, it may be the support's noise.
+Chosen, sensitivity not measured."""
 MAX_HEIGHT = 1.0
-"""Metres above the support beyond which nothing is an object, unless it was said otherwise."""
+"""Metres above the support beyond which nothing is an object, by default. Assumes a tabletop."""
 HIGHEST_FOOT = 0.03
-"""Metres; above this, surface below what was asked for is not taken back, however steep."""
+"""Metres above the support beyond which a foot is not recovered, however steep. Assumes a tabletop. Chosen, sensitivity
+not measured."""
 FACES_UP = 0.5
-"""Cosine to the guessed up below which a support may be a wall: level cameras guess up at 0.45 from a wall's normal,
-and so do cameras that look straight down from a table's."""
+"""Cosine between a support's normal and the guessed up below which it may be a wall. Chosen: `upward` of level cameras
+has a cosine of 0.45 with the normal of a wall that faces them."""
 SMALLEST_SUPPORT = 0.15
-"""Metres across; a plane smaller than this is more likely the face of an object."""
+"""Metres across; a smaller plane is more likely the face of an object. Assumes a tabletop. Chosen, sensitivity not
+measured."""
 BELOW_SHARE = 0.5
-"""A plane is no support when the surface below it measures this share of it: it is the top of an object then, whose
-sides are below."""
+"""Area of the surface below a plane, over the plane's own, from which it is doubted as support: it may be the top of an
+object, whose sides are below. Chosen, sensitivity not measured."""
 WALL_SHARE = 0.6
-"""A wall runs along this share of the scene at least; a book that leans on one in a small bin reaches half."""
+"""Least share of the scene's length that a wall runs along; a book that leans on one in a small bin reaches half.
+Chosen, sensitivity not measured."""
 BEHIND_SHARE = 0.05
-"""Of the scene's surface, at most, behind a wall. A box has its top and the table behind its front."""
+"""Largest share of the scene's surface behind a wall: a box has its top and the table behind its front. Chosen,
+sensitivity not measured."""
 UPRIGHT = np.sin(np.deg2rad(15.0))
-"""Walls lean less than this from the support's normal; a book that leans on one does not."""
+"""Sine of the angle by which a wall may lean; a book that leans on one does more. Chosen, sensitivity not measured."""
 LEVEL = np.cos(np.deg2rad(15.0))
-"""Steps and shelves turn less than this from the support. Upright planes must be walls to be structure, however long:
-to take a crate's sides away would leave its ends."""
+"""Cosine of the angle by which steps and shelves may be tilted against the support. Upright planes must be walls to be
+structure, however long: without its long sides, a crate would fall apart. Chosen, sensitivity not measured."""
 N_STRUCTURES = 6
-"""Planes looked at for walls and shelves: the four sides of a bin, and two shelves. Sensitivity not measured."""
+"""Most planes considered as walls and shelves: four sides of a bin and two shelves. Chosen, sensitivity not
+measured."""
 STRUCTURE_SHARE = 0.05
-"""Of the surface above the support that a wall holds at least."""
+"""Least share of the surface above the support that a wall holds. Chosen, sensitivity not measured."""
 
 
 @dataclass(frozen=True)
 class Background:
-    """A scene parted into what may be objects and what is not.
+    """A scene divided into foreground and background.
 
     Args:
-        foreground: what may be an object.
-        feet: what is just above the support and may be the foot of one.
+        foreground: vertices that may belong to an object.
+        feet: vertices just above the support that may be the foot of one.
         support: None without one.
-        structure: walls, and what else is too long for an object.
+        structure: walls, and level planes too long for an object.
         low: height above the support, metres, from which surface is foreground.
-        warnings: what a user should look at, one sentence each.
+        warnings: for the user, one sentence each.
     """
 
     foreground: Bool[ndarray, "n"]
@@ -88,7 +96,7 @@ class MeshVertices:
     Args:
         points: metres, world.
         normals: unit, towards where the surface was seen from; zero for a vertex of no triangle.
-        areas: square metres each vertex stands for.
+        areas: square metres of surface that each vertex represents.
     """
 
     points: Float[ndarray, "n 3"]
@@ -101,19 +109,20 @@ class MeshVertices:
 
 @dataclass(frozen=True)
 class BackgroundSettings:
-    """What is background.
+    """Settings of the background.
 
     Args:
-        voxel_size: metres; what the surface cannot resolve.
+        voxel_size: metres; finer structure is not resolved.
         support: what is background: the support and walls, the support alone, or nothing.
-        plane: the support; found when not given.
-        up: unit vector the support faces, within 30 degrees; any when None.
-        guess_up: unit vector; of several planes the one that faces it is preferred.
-        inlier: metres off a plane that still count for it when it is looked for.
+        plane: the support; None to find it.
+        up: unit vector that the support faces, within 30 degrees; None for any.
+        guess_up: unit vector; planes that face it are preferred.
+        inlier: metres from a plane within which points support it in the search. Its sensitivity is in
+            docs/benchmarks.md.
         above: heights above the support, metres, between which surface belongs to objects; by default from a voxel or
             the noise to 1 m.
-        margin: metres an object may stand out over the seen support.
-        max_extent: metres an object is long at most.
+        margin: metres by which an object may project beyond the seen support.
+        max_extent: greatest length of an object, metres; the default assumes a tabletop.
     """
 
     voxel_size: float
@@ -132,7 +141,11 @@ def find_background(
     rng: np.random.Generator,
     settings: BackgroundSettings,
 ) -> Background:
-    """Part a scene into background and what may be objects."""
+    """Divide a scene into background and what may be objects.
+
+    Raises:
+        ValueError: the plane's normal is zero, or `inlier` is not positive.
+    """
     plane, inlier, voxel_size = settings.plane, settings.inlier, settings.voxel_size
     real = surface.areas > 0
     if settings.support == "none":
@@ -176,12 +189,16 @@ def find_background(
 
 
 def thickness(plane: Plane, voxel_size: float, most: float) -> float:
-    """Metres from a plane within which surface is the plane's: a voxel, or the noise."""
+    """Metres from a plane within which surface belongs to it: a voxel, or its noise up to `most`."""
     return max(voxel_size, min(PLANE_NOISE_SIGMAS * plane.noise, most))
 
 
 def given_support(plane: Float[ndarray, "4"], surface: MeshVertices, inlier: float) -> Plane:
-    """The plane where it was put; refined only to learn the surface's noise."""
+    """A given plane, unchanged, with the noise of the surface near it.
+
+    Raises:
+        ValueError: the normal is zero.
+    """
     length = np.linalg.norm(plane[:3])
     if not length > 0:
         raise ValueError(f"the plane's normal must not be zero, got {plane.tolist()}")
@@ -196,25 +213,24 @@ def support_of_scene(
     guess_up: Float[ndarray, "3"] | None,
     inlier: float,
 ) -> tuple[Plane | None, tuple[str, ...]]:
-    """The likeliest plane of which nothing speaks against its being the support; without one the likeliest, with what
-    speaks against it as warnings."""
+    """The most likely plane without a reason for doubt, else the most likely one; and warnings, with the reason."""
     planes = find_planes(surface.points, surface.normals, surface.areas, rng, PlaneSearch(inlier, up, guess_up))
     if not planes:
         return None, ("no support plane was found, so nothing can be told from the background",)
-    doubts = [doubt(one, surface, inlier) for one in planes]
-    best = next((i for i, one in enumerate(doubts) if not one), 0)
+    doubts = [doubt(plane, surface, inlier) for plane in planes]
+    best = next((i for i, reason in enumerate(doubts) if not reason), 0)
     rivals = [
-        one
-        for i, one in enumerate(planes)
+        plane
+        for i, plane in enumerate(planes)
         if i != best
         and not doubts[i]
-        and preference(one, guess_up) > RIVAL_SHARE * preference(planes[best], guess_up)
-        and is_another(one, planes[best], surface, inlier)
+        and preference(plane, guess_up) > RIVAL_SHARE * preference(planes[best], guess_up)
+        and is_another(plane, planes[best], surface, inlier)
     ]
     warnings = [
-        f"a second plane, {rounded(one)}, holds {one.area:.3f} m2 beside the support's "
+        f"a second plane, {rounded(plane)}, holds {plane.area:.3f} m2 beside the support's "
         f"{planes[best].area:.3f} m2: if the objects stand on that one, give `plane` or `up`"
-        for one in rivals
+        for plane in rivals
     ]
     if up is None and guess_up is not None and planes[best].plane[:3] @ guess_up < FACES_UP:
         warnings.append(
@@ -225,14 +241,14 @@ def support_of_scene(
 
 
 def is_another(plane: Plane, best: Plane, surface: MeshVertices, inlier: float) -> bool:
-    """Whether most of a plane's surface is off another's. Noise of a large table holds tilted planes of its own."""
-    mine = on_plane(surface.points, surface.normals, plane.plane, inlier)
-    off = np.abs(height(surface.points[mine], best.plane)) > 2 * inlier
-    return bool(surface.areas[mine][off].sum() > 0.5 * surface.areas[mine].sum())
+    """Whether most of a plane's surface is off another plane. The noise of a large table supports tilted planes."""
+    own = on_plane(surface.points, surface.normals, plane.plane, inlier)
+    off = np.abs(height(surface.points[own], best.plane)) > 2 * inlier
+    return bool(surface.areas[own][off].sum() > 0.5 * surface.areas[own].sum())
 
 
 def doubt(plane: Plane, surface: MeshVertices, inlier: float) -> str:
-    """What speaks against a plane's being the support, as a sentence; empty when nothing does."""
+    """The reason to doubt that a plane is the support, as a sentence; empty without one."""
     floor = on_plane(surface.points, surface.normals, plane.plane, inlier) & (surface.areas > 0)
     if floor.sum() < 3:
         return "the support found has no surface: give `plane` or `up`"
@@ -245,7 +261,7 @@ def doubt(plane: Plane, surface: MeshVertices, inlier: float) -> str:
             "`up`, or a larger workspace"
         )
     below = (height(surface.points, plane.plane) < -2 * inlier) & (surface.areas > 0)
-    # A little wider than the plane, because the sides of an object are straight below the rim of its top.
+    # Slightly wider than the plane, because the sides of an object are straight below the rim of its top.
     under = surface.areas[below][above_footprint(surface.points[below], plane.plane, points, areas, 2 * inlier)].sum()
     if under > BELOW_SHARE * areas[patch].sum():
         return (
@@ -256,7 +272,7 @@ def doubt(plane: Plane, surface: MeshVertices, inlier: float) -> str:
 
 
 def rounded(plane: Plane) -> list[float]:
-    """The plane for a sentence; adding zero makes -0.0 into 0.0."""
+    """The plane for a sentence. Adding zero turns -0.0 into 0.0."""
     return (np.round(plane.plane, 3) + 0.0).tolist()
 
 
@@ -269,31 +285,31 @@ def walls(
     inlier: float,
     max_extent: float,
 ) -> list[tuple[Plane, bool]]:
-    """Planes above the support that are structure and no face of an object, and whether each is a wall.
+    """Planes above the support that are structure rather than faces of objects, and whether each is a wall.
 
-    Level planes longer than any object may be are: steps and shelves. So is an upright one that runs along most of the
-    scene and has next to nothing behind it: the wall of a bin or a shelf, which may be as small as an object.
+    Structure are level planes longer than any object, such as steps and shelves, and upright planes that run along most
+    of the scene with hardly any surface behind: the walls of a bin or a shelf, which may be as small as an object.
     """
     above = surface[foreground]
     scene = surface[foreground | floor]
     found: list[tuple[Plane, bool]] = []
     search = PlaneSearch(inlier, n_planes=N_STRUCTURES, min_share=STRUCTURE_SHARE)
-    for one in find_planes(above.points, above.normals, above.areas, rng, search):
-        mine = on_plane(above.points, above.normals, one.plane, inlier)
-        patch = above.points[mine]
-        patch = patch[largest_patch(patch @ plane_axes(one.plane).T, above.areas[mine])]
-        is_wall = bounds_scene(one, patch, scene, support, inlier)
-        is_level = abs(one.plane[:3] @ support[:3]) > LEVEL
+    for plane in find_planes(above.points, above.normals, above.areas, rng, search):
+        own = on_plane(above.points, above.normals, plane.plane, inlier)
+        patch = above.points[own]
+        patch = patch[largest_patch(patch @ plane_axes(plane.plane).T, above.areas[own])]
+        is_wall = bounds_scene(plane, patch, scene, support, inlier)
+        is_level = abs(plane.plane[:3] @ support[:3]) > LEVEL
         is_level &= float(np.median(height(patch, support))) > LOWEST_STEP * inlier
         if is_wall or (is_level and longest(patch) > max_extent):
-            found.append((one, is_wall))
+            found.append((plane, is_wall))
     return found
 
 
 def bounds_scene(
     plane: Plane, patch: Float[ndarray, "m 3"], scene: MeshVertices, support: Float[ndarray, "4"], inlier: float
 ) -> bool:
-    """Whether an upright plane runs along most of the scene and has next to nothing behind it."""
+    """Whether a plane is upright and runs along most of the scene with hardly any surface behind it."""
     if abs(plane.plane[:3] @ support[:3]) > UPRIGHT:
         return False
     along = np.cross(plane.plane[:3], support[:3])
@@ -305,13 +321,13 @@ def bounds_scene(
 
 
 def spread(values: Float[ndarray, "n"]) -> float:
-    """Length of all but the outermost hundredths."""
+    """Distance from the 1st to the 99th percentile."""
     low, high = np.percentile(values, [1, 99])
     return float(high - low)
 
 
 def longest(points: Float[ndarray, "n 3"]) -> float:
-    """Length along the longest axis, metres."""
+    """Length along the principal axis, metres."""
     offset = points - points.mean(axis=0)
     axis = np.linalg.eigh(offset.T @ offset)[1][:, -1]
     return spread(offset @ axis)

@@ -1,9 +1,9 @@
-"""DBSCAN, exactly, on a grid so fine that all points of a cell are neighbours of each other.
+"""Exact DBSCAN on a grid so fine that all points of a cell are neighbours of each other.
 
-A surface has many points within `eps` of each point: finding them all, as the text-book method does, is where its time
-and memory go. With cells of edge eps / sqrt(3) a cell's points are neighbours without a look, two core points of a
-cell are in one cluster without a look, and a look at other cells ends as soon as the answer is known. The grid only
-saves work: no result depends on where its cells begin.
+A surface has many points within `eps` of each point; the textbook method spends its time and memory on finding them
+all. In cells of edge eps / sqrt(3), all points are neighbours and all core points are in one cluster without any
+comparison, and the search of other cells ends as soon as the answer is known. The grid only saves work: no result
+depends on its origin.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ COLUMNS = np.array(
 """(25, 2) offsets in x and y of the neighbours of a cell, nearest first; cells of one column follow each other in the
 order of keys."""
 MAX_KEY = 2**62
-"""Cells are numbered by 64-bit integers; half of what these hold, so that neighbours have numbers, too."""
+"""Greatest number of cells: half the range of the 64-bit keys, so that neighbours have keys, too."""
 ROUNDING = 1e-9
-"""Relative. Cells are smaller by this, so that rounding cannot make their diagonal longer than eps; and weights that
-equal `core_weight` reach it in whatever order they are summed."""
+"""Relative margin: cells are smaller, so that rounding cannot make their diagonal longer than eps; and weights that
+equal `core_weight` reach it in any order of summation."""
 
 
 def dbscan(
@@ -38,9 +38,9 @@ def dbscan(
     """Cluster of each point, numbered from 0; -1 is noise.
 
     A point is a core when the weights within `eps` of it, its own included, reach `core_weight`. With weights 1 that
-    is the customary `min_samples`; with the surface area of each vertex it does not depend on how finely the surface
-    is sampled. Cores within `eps` of each other are one cluster; other points join the cluster of their nearest core
-    within `eps`. The labels do not depend on the order of the points.
+    is the usual `min_samples`; with the surface area of each vertex it does not depend on the density of vertices.
+    Cores within `eps` of each other are one cluster; other points join the cluster of their nearest core within `eps`.
+    The clusters do not depend on the order of the points.
 
     Args:
         eps: metres between neighbours.
@@ -123,7 +123,7 @@ def _clusters(
                 core[start[c] + n_core[c]] = i
                 n_core[c] += 1
     root = np.arange(n_cells)
-    # Cells side by side first: nearly all are joined, and then those further apart need no look at their points.
+    # Adjacent cells first: once nearly all are joined, few cells further apart need their points compared.
     for reach in (1, REACH):
         _join(points, cells, start, columns, eps2, core, n_core, root, reach)
     cluster = np.full(n_cells, -1)
@@ -200,7 +200,7 @@ def _join(
             continue
         for k in range(len(columns)):
             d, last = begin[k], cells[c] + columns[k] + reach
-            # Each pair of cells once.
+            # Each pair of cells is visited once.
             while d < c and cells[d] <= last:
                 a, b = _root(root, c), _root(root, d)
                 near = a != b and n_core[d] and cells[d] >= last - 2 * reach

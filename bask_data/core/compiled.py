@@ -1,4 +1,4 @@
-"""Loops over pixels and points that NumPy has no words for, compiled by Numba."""
+"""Compilation, by Numba, of loops over pixels and points that NumPy cannot express."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ F = TypeVar("F", bound=Callable[..., object])
 
 
 def compiled(function: F) -> F:
-    """The function as machine code. It is kept on disk for the next process, where a place for that can be written to;
-    a container may have none, and then each process compiles for itself. While it runs, other threads do, too."""
+    """The function as machine code, which releases the GIL. It is cached on disk for other processes; where no cache
+    directory is writable, as in some containers, each process compiles it again."""
     try:
         return njit(cache=True, nogil=True)(function)
     except RuntimeError:

@@ -8,12 +8,12 @@ from jaxtyping import Bool, Float32
 from numpy import ndarray
 
 DEPTH_SLACK = (0.01, 0.01)
-"""Two neighbours on one surface differ by less than a + b z: 1 cm of noise and slope up close, and the noise that
-grows with the distance."""
+"""(a, b): neighbouring pixels on one surface differ by less than a + b z metres, for noise and slope. Assumes a
+tabletop. Chosen, sensitivity not measured."""
 
 NOISE_SIGMAS = 4.0
-"""Neighbours on one surface also differ by less than this many standard deviations of the sensor's noise: in the window
-of a pixel the nearest and the farthest neighbour are about two away from it, each with noise of its own."""
+"""Standard deviations of the sensor's noise by which neighbours on one surface may differ, if that is more. Chosen,
+sensitivity not measured."""
 
 
 SIGMA_FROM_MAD = 1.4826
@@ -21,34 +21,36 @@ SIGMA_FROM_MAD = 1.4826
 
 
 def in_range(depth: Float32[ndarray, "h w"], near: float, far: float) -> Float32[ndarray, "h w"]:
-    """The depth with everything outside [near, far] taken for not measured.
+    """The depth with everything outside [near, far] set to not measured.
 
     Args:
-        near: metres; what is nearer is the robot's own gripper.
-        far: metres; what is farther is noise.
+        near, far: metres.
 
     Raises:
         ValueError: `near` is negative or not below `far`.
     """
     if not 0 <= near < far:
         raise ValueError(f"depth range: expected 0 <= near < far metres, got near {near}, far {far}")
-    # NaN and infinity fail both comparisons, so files that mark missing depth with them are treated alike.
+    # NaN and infinity fail a comparison, so files that mark missing depth with them work, too.
     return np.where((depth >= near) & (depth <= far), depth, np.float32(0))
 
 
 def flying(
     depth: Float32[ndarray, "h w"], radius: int = 2, slack: tuple[float, float] = DEPTH_SLACK
 ) -> Bool[ndarray, "h w"]:
-    """Measurements that belong to no surface: they hang between a near and a far one at its edge, or stand alone.
+    """Flying pixels: measurements between a near and a far surface at an edge, and isolated ones.
 
-    A pixel on a surface agrees with the nearest or with the farthest of its measured neighbours, on whichever side of
-    an edge it is; so
-    parts one pixel thin stay whole, which a cut along every edge would eat. What agrees with neither is no surface.
+    A pixel on a surface agrees with the nearest or with the farthest of its measured neighbours, whichever side of an
+    edge it is on; one that agrees with neither is on no surface. Parts one pixel thin are kept, which removing every
+    edge would not.
 
     Args:
-        radius: pixels; 2 reaches across the gaps of depth that was registered to colour and so covers every other
-            pixel.
-        slack: (a, b) of the a + b z metres by which neighbours on one surface may differ; more on a noisy sensor.
+        radius: half the window, pixels; 2 spans the gaps of depth that was registered to colour and covers every other
+            pixel only.
+        slack: (a, b): neighbours on one surface differ by at most a + b z metres; more on a noisy sensor.
+
+    Raises:
+        ValueError: `radius` is less than a pixel.
     """
     if radius < 1:
         raise ValueError(f"radius: expected at least 1 pixel, got {radius}")
@@ -68,10 +70,10 @@ def flying(
 
 
 def noise_share(depth: Float32[ndarray, "h w"], n_least: int = 1000) -> float:
-    """Standard deviation of a depth image's noise as a share of the depth, from the differences of pixels side by side;
-    0 with fewer than `n_least` of these.
+    """Standard deviation of a depth image's noise as a share of the depth, from the differences of adjacent pixels; 0
+    with fewer than `n_least` of these.
 
-    Half of all differences are on one surface wherever there are surfaces, so their median knows nothing of edges.
+    More than half of all differences are within one surface, so their median is insensitive to edges.
     """
     rows = depth[::4]
     for step in (1, 2):  # Depth that was registered to colour may miss every other column.
@@ -79,18 +81,20 @@ def noise_share(depth: Float32[ndarray, "h w"], n_least: int = 1000) -> float:
         both = (left > 0) & (right > 0)
         if np.count_nonzero(both) >= n_least:
             change = np.abs(left[both] - right[both]) / left[both]
-            # The difference of two has the square root of two times the noise of one.
+            # The difference of two measurements has sqrt(2) times the noise of one.
             return float(SIGMA_FROM_MAD * np.median(change) / np.sqrt(2))
     return 0.0
 
 
 def filled(depth: Float32[ndarray, "h w"], slack: tuple[float, float] = DEPTH_SLACK) -> Float32[ndarray, "h w"]:
-    """The depth with the gaps of a pixel inside a surface closed by the mean of the measured pixels around.
+    """The depth with gaps of one pixel inside a surface closed by the mean of the measured pixels around.
 
-    Depth that was registered to colour misses whole rows and columns. A voxel falls into such a gap in most frames, and
-    the surface gets holes. A gap counts as inside when half of the eight pixels around it are measured, and these
-    agree;
-    beyond the edge of a surface at most three are.
+    Depth that was registered to colour misses whole rows and columns; voxels that fall into such gaps in most frames
+    would leave holes in the surface. A gap is inside a surface when at least four of the eight pixels around it are
+    measured and agree; beyond the edge of a surface at most three are.
+
+    Args:
+        slack: (a, b): depths of one surface differ by at most a + b z metres.
     """
     measured = depth > 0
     window = (3, 3)
@@ -110,6 +114,6 @@ def filled(depth: Float32[ndarray, "h w"], slack: tuple[float, float] = DEPTH_SL
 def cleaned(
     depth: Float32[ndarray, "h w"], near: float, far: float, slack: tuple[float, float] = DEPTH_SLACK
 ) -> Float32[ndarray, "h w"]:
-    """Depth within [near, far] metres, without flying pixels and without the gaps of a pixel inside a surface."""
+    """Depth within [near, far] metres, without flying pixels and with gaps of one pixel closed."""
     kept = in_range(depth, near, far)
     return filled(np.where(flying(kept, slack=slack), np.float32(0), kept), slack)

@@ -1,7 +1,7 @@
-"""How well descriptors find what was seen before: figures of matches, their curves, and whether heat maps are true.
+"""Accuracy of descriptors: figures of their matches, cumulative curves, and the calibration of heat maps.
 
-A query is a pixel of one view; the match that truth gives it is a position in another view. Held against that is the
-best match, the pixel of the other view whose descriptor is closest.
+A query is a pixel of one view; its true match is a position in another view. It is compared with the best match, the
+pixel of the other view whose descriptor is closest.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 PERCENTS = (1, 2, 4, 8)
-"""Shares of the image's diagonal within which a match counts as found, percent."""
+"""Thresholds of PCK, percent of the image's diagonal."""
 N_CURVE = 101
-"""Points of a cumulative curve."""
+"""Number of points of a cumulative curve."""
 LIMITS = {"error_share": 1.0, "error_3d": 0.1, "closer_share": 1.0, "false_positive_share": 1.0}
-"""By metric, where its cumulative curve ends: the whole diagonal, ten centimetres, the whole image."""
+"""By metric, the end of its cumulative curve: the diagonal, ten centimetres (assumes a tabletop), the whole image."""
 
 
 @dataclass(frozen=True)
 class MapScores:
-    """What n distance maps of one image say of n queries. Lengths are in pixels of the image.
+    """Figures of n distance maps of one image, one for each query. Lengths are in pixels of the image.
 
     Attributes:
         best: (u, v) of the smallest distance.
         expected: (u, v) of the heat map's mean.
         error_px: from the best match to the true one.
         closer_share: share of the image's pixels whose distance is smaller than that at the true match.
-        false_positive_px: mean way of those pixels to the true match; 0 if there are none.
+        false_positive_px: mean distance of those pixels from the true match; 0 if there are none.
         confidence: share of the heat map within the radius of the best match, for each temperature.
     """
 
@@ -50,14 +50,14 @@ def map_scores(
     alphas: Sequence[float],
     radius_px: float,
 ) -> MapScores:
-    """Hold distance maps against the true matches.
+    """Compare distance maps with the true matches.
 
     Args:
         distance: descriptor distance z; a map spans the image edge to edge and may be coarser or finer.
-        at_truth: the distance at the true match itself, between the pixels.
+        at_truth: descriptor distance at the true match, interpolated between pixels.
         true_uv: pixels of the image.
         size: (height, width) of the image.
-        alphas: temperatures of heat maps softmax(-alpha z); what is expected is by the first.
+        alphas: temperatures of heat maps softmax(-alpha z); the first gives `expected`.
         radius_px: of the confidence, pixels of the image.
 
     Source of `closer_share` and `false_positive_px`: Florence et al. 2018, Sec. 5.1.
@@ -76,8 +76,8 @@ def map_scores(
         confidence[i] = [_within(heat, u, v, best[i], radius_px) / heat.sum(dtype=np.float64) for heat in heats]
         rows, columns = np.nonzero(z < at_truth[i])
         closer_share[i] = len(rows) / z.size
-        ways = np.hypot(u[columns] - true_uv[i, 0], v[rows] - true_uv[i, 1])
-        false_positive_px[i] = ways.mean() if len(ways) else 0.0
+        away = np.hypot(u[columns] - true_uv[i, 0], v[rows] - true_uv[i, 1])
+        false_positive_px[i] = away.mean() if len(away) else 0.0
     error_px = np.linalg.norm(best - true_uv, axis=1)
     return MapScores(best, expected, error_px, closer_share, false_positive_px, confidence)
 
@@ -89,7 +89,7 @@ def _within(
     centre: Float[ndarray, "2"],
     radius: float,
 ) -> float:
-    """The heat of all pixels within the radius."""
+    """Total heat of the pixels within a radius of the centre."""
     columns, rows = np.flatnonzero(np.abs(u - centre[0]) <= radius), np.flatnonzero(np.abs(v - centre[1]) <= radius)
     window = heat[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     near = np.hypot(u[columns] - centre[0], (v[rows] - centre[1])[:, None]) <= radius
@@ -98,16 +98,17 @@ def _within(
 
 @dataclass(frozen=True)
 class Records:
-    """What was found of n matches, each with its own figures.
+    """Figures of n matches, each for itself.
 
     Attributes:
         error_px: from the best match to the true one, pixels of the image.
         error_share: the same as a share of the image's diagonal.
-        error_3d: metres between the surface at the best match and the true point; NaN where no depth is known.
-        closer_share: share of the image's pixels that are closer to the query than the true match is.
-        false_positive_share: mean way of those pixels to the true match, as a share of the image's diagonal.
-        confidence: share of the heat map near the best match, for each temperature.
-        is_near: whether the true match is that near.
+        error_3d: metres between the surface at the best match and the true point; NaN without depth.
+        closer_share: share of the image's pixels whose descriptors are closer to the query's than the true match's.
+        false_positive_px: mean distance of those pixels from the true match, pixels of the image.
+        false_positive_share: the same as a share of the image's diagonal.
+        confidence: share of the heat map within a radius of the best match, for each temperature.
+        is_near: whether the true match is within that radius.
     """
 
     error_px: Float[ndarray, " n"]
@@ -123,12 +124,12 @@ class Records:
         return len(self.error_px)
 
     def chosen(self, which: Bool[ndarray, " n"]) -> Records:
-        """Some of them."""
+        """The chosen matches."""
         return Records(**{name: values[which] for name, values in vars(self).items()})
 
     @staticmethod
     def joined(parts: Sequence[Records]) -> Records:
-        """All of several."""
+        """The matches of all parts."""
         if not parts:
             empty = np.zeros(0)
             return Records(empty, empty, empty, empty, empty, empty, np.zeros((0, 0)), empty > 0)
@@ -136,42 +137,42 @@ class Records:
 
 
 def figures(records: Records) -> dict[str, float | int | None]:
-    """What is told of some matches, as plain numbers; None where nothing can be said.
+    """Figures over several matches as plain numbers; None where there is no match to compute them from.
 
-    `pck_4` is the share found within 4 % of the image's diagonal. `area_...` is the area above the cumulative curve of
-    a metric, from 0 to its limit, as a share of the whole: 0 is perfect.
+    `pck_4` is the share within 4 % of the image's diagonal. `area_...` is the area above the cumulative curve of a
+    metric, from 0 to its limit, as a share of the whole: 0 is perfect.
     """
     n = len(records)
     known = records.error_3d[np.isfinite(records.error_3d)]
-    found: dict[str, float | int | None] = {"n": n, "n_3d": len(known)}
-    found["median_px"] = _told(np.median, records.error_px)
+    result: dict[str, float | int | None] = {"n": n, "n_3d": len(known)}
+    result["median_px"] = _figure(np.median, records.error_px)
     for percent in PERCENTS:
-        found[f"pck_{percent}"] = _told(np.mean, records.error_share <= percent / 100)
-    found["median_3d_m"] = _told(np.median, known)
-    found["closer_mean"] = _told(np.mean, records.closer_share)
-    found["closer_median"] = _told(np.median, records.closer_share)
-    found["false_positive_px"] = _told(np.mean, records.false_positive_px)
-    found["false_positive_share"] = _told(np.mean, records.false_positive_share)
+        result[f"pck_{percent}"] = _figure(np.mean, records.error_share <= percent / 100)
+    result["median_3d_m"] = _figure(np.median, known)
+    result["closer_mean"] = _figure(np.mean, records.closer_share)
+    result["closer_median"] = _figure(np.median, records.closer_share)
+    result["false_positive_px"] = _figure(np.mean, records.false_positive_px)
+    result["false_positive_share"] = _figure(np.mean, records.false_positive_share)
     for name, limit in LIMITS.items():
-        found[f"area_{name}"] = area_above(getattr(records, name), limit)
-    return found
+        result[f"area_{name}"] = area_above(getattr(records, name), limit)
+    return result
 
 
-def _told(of: object, values: ndarray) -> float | None:
+def _figure(of: object, values: ndarray) -> float | None:
     return float(of(values)) if len(values) else None  # type: ignore[operator]
 
 
 def area_above(values: Float[ndarray, " n"], limit: float) -> float | None:
-    """Area above the cumulative curve of values >= 0 between 0 and the limit, divided by the limit; NaN is left out.
+    """Area above the cumulative curve of values >= 0 between 0 and the limit, divided by the limit; NaN is ignored.
 
-    Each value lies above the curve up to where it is, so the area is the mean of the values, none more than the limit.
+    It equals the mean of the values, clipped at the limit.
     """
     known = values[~np.isnan(values)]
-    return _told(np.mean, np.minimum(known, limit) / limit)
+    return _figure(np.mean, np.minimum(known, limit) / limit)
 
 
 def cumulative(values: Float[ndarray, " n"], limit: float) -> tuple[Float[ndarray, " x"], Float[ndarray, " x"]]:
-    """Thresholds from 0 to the limit, denser near 0, and the share of values that are no larger; NaN is left out."""
+    """Thresholds from 0 to the limit, denser near 0, and the share of values up to each; NaN is ignored."""
     known = np.sort(values[~np.isnan(values)])
     thresholds = limit * np.linspace(0, 1, N_CURVE) ** 2
     below = np.searchsorted(known, thresholds, side="right")
@@ -180,7 +181,7 @@ def cumulative(values: Float[ndarray, " n"], limit: float) -> tuple[Float[ndarra
 
 @dataclass(frozen=True)
 class Reliability:
-    """How often the true match is where the heat map says, by how sure it is: the bins of equal width of a diagram.
+    """A reliability diagram of heat maps: accuracy by confidence, in bins of equal width.
 
     Attributes:
         n: matches in each bin.
@@ -194,8 +195,8 @@ class Reliability:
 
     @property
     def error(self) -> float:
-        """Expected calibration error: the mean gap between confidence and accuracy, weighted by the bins' numbers; NaN
-        without matches.
+        """Expected calibration error: the mean gap between confidence and accuracy, weighted by the number of matches
+        in each bin; NaN without matches.
 
         Source: Guo et al. 2017, On Calibration of Modern Neural Networks, Eq. 3.
         """
@@ -206,7 +207,7 @@ class Reliability:
 
 
 def reliability(confidence: Float[ndarray, " n"], is_near: Bool[ndarray, " n"], n_bins: int = 10) -> Reliability:
-    """Hold what heat maps promise against what is true."""
+    """The calibration of heat maps: their confidence compared with how often the true match is near."""
     i_bin = np.minimum((confidence * n_bins).astype(np.int64), n_bins - 1)
     n = np.bincount(i_bin, minlength=n_bins)
     sums = (np.bincount(i_bin, weights=values, minlength=n_bins) for values in (confidence, is_near.astype(float)))
@@ -215,13 +216,13 @@ def reliability(confidence: Float[ndarray, " n"], is_near: Bool[ndarray, " n"], 
 
 
 def filling(counts: Int[ndarray, "p s"], chosen: Sequence[int], n: int, rng: np.random.Generator) -> list[int]:
-    """Choose rows until there are n, so that the sums over the chosen rows become as equal over the columns as can be.
+    """At most n rows, chosen so that their sums become as equal over the columns as possible.
 
-    The next row is drawn among those that have something in the emptiest column, in proportion to how much.
+    The next row is drawn in proportion to its count in the column with the lowest sum.
 
     Args:
-        counts: what each row adds to each column.
-        chosen: rows that are chosen already.
+        counts: of each row in each column.
+        chosen: rows already chosen; they come first.
     """
     chosen, free = list(chosen), np.ones(len(counts), bool)
     free[chosen] = False

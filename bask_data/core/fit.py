@@ -1,4 +1,4 @@
-"""How well a mesh explains the frames it was made from, by a few rays of each."""
+"""Agreement of a mesh with the frames it was fused from, by a few rays of each."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from bask_data.core.geometry import unproject
 from bask_data.core.visibility.surface import Surface
 
 LEAST_JUDGED = 50
-"""Rays of a frame below which nothing is said of it, and frames below which none stands out."""
+"""Fewest rays to judge a frame by. Chosen, sensitivity not measured."""
 
 LEAST_FRAMES = 5
-"""A frame is compared with the two before and after it."""
+"""Fewest frames among which one can be an outlier: it is compared with the two before and the two after it."""
 
 
 @dataclass(frozen=True)
 class Sketch:
-    """What a frame measured, thinned out to one pixel of each block of `step` x `step`.
+    """A frame's depth, subsampled to one pixel of each block of `step` x `step`.
 
     Attributes:
-        step: pixels; the pixel taken from a block is that at step // 2.
-        depth: z-depth there, metres, whatever lies beyond the fusion's range included; 0 means no measurement.
+        step: pixels; the pixel of a block is that at step // 2.
+        depth: z-depth there, metres, also beyond the range of fusion; 0 means no measurement.
         measured: share of each block's pixels that have a measurement, in 255ths.
     """
 
@@ -39,7 +39,7 @@ def sketch(raw: Float32[ndarray, "h w"], cleaned: Float32[ndarray, "h w"], far: 
 
     Args:
         raw: z-depth as measured, metres.
-        cleaned: the same as it was fused (`depth.cleaned`), cut at `far` metres.
+        cleaned: the same as it was fused (`depth.cleaned`), up to `far` metres.
     """
     step = max(1, raw.shape[1] // n_columns)
     rows, columns = raw.shape[0] // step, raw.shape[1] // step
@@ -54,7 +54,7 @@ def sketch(raw: Float32[ndarray, "h w"], cleaned: Float32[ndarray, "h w"], far: 
 
 
 class FacedSurface:
-    """A mesh ready for rays, and which of its triangles they met from the front and from behind."""
+    """A mesh for ray casting that records which of its triangles were hit from the front and from behind."""
 
     def __init__(self, vertices: Float32[ndarray, "n 3"], triangles: Int32[ndarray, "m 3"]) -> None:
         self._surface = Surface(vertices, triangles)
@@ -74,21 +74,21 @@ class FacedSurface:
 
     @property
     def area_from_behind(self) -> float:
-        """Share of the surface met by rays that was met from its back alone: no camera saw its front."""
+        """Share of the area hit by rays that was hit from behind only: no camera saw its front."""
         met = float(self._area[self._met.any(axis=0)].sum())
         return float(self._area[self._met[1] & ~self._met[0]].sum()) / met if met else 0.0
 
 
 @dataclass(frozen=True)
 class Fit:
-    """How a mesh and one frame agree.
+    """Agreement of a mesh and one frame; NaN where there is no such ray.
 
     Attributes:
-        n_judged: rays that could be judged: measured inside the workspace, or through the mesh to behind it.
-        explained: share of those whose measurement lies on the mesh; NaN for none.
-        residual: median of measured minus mesh depth, metres, where the ray meets the mesh; NaN for none.
-        residual_abs: median of its magnitude.
-        from_behind: share of the rays that meet the mesh which meet its back; NaN for none.
+        n_judged: rays that can be judged: measured inside the workspace, or behind the mesh.
+        explained: share of those whose measurement lies on the mesh.
+        residual: median of measured minus mesh depth, metres, where the ray hits the mesh.
+        residual_abs: median of its magnitude, metres.
+        from_behind: share of the rays that hit the mesh which hit it from behind.
     """
 
     n_judged: int
@@ -106,14 +106,14 @@ def fit(
     bounds: Float[ndarray, "2 3"],
     slack: tuple[float, float] = DEPTH_SLACK,
 ) -> Fit:
-    """How well the mesh explains what a frame measured.
+    """Agreement of a mesh and the measurements of a frame.
 
-    What was measured outside the workspace has no surface to be held against. It counts only where the mesh stands
-    before it, which the camera would have had to see.
+    Measurements outside the workspace have no surface to be compared with. They count only where the mesh is in front
+    of them, because the camera would then have seen the mesh.
 
     Args:
         bounds: (2, 3) lowest and highest corner of the workspace, world frame, metres.
-        slack: (a, b) of the a + b z metres by which a measurement may be off the mesh.
+        slack: (a, b): a measurement lies on the mesh within a + b z metres.
     """
     rays = sketch_rays(seen, K, world_from_camera)
     mesh_depth, behind = surface.cast(rays)
@@ -149,7 +149,8 @@ def sketch_rays(
 
 
 RISE = 1.25
-"""A residual has risen when it is so many times that of the frames before and after."""
+"""A residual has risen when it is this many times that of the frames before and after. Chosen, sensitivity not
+measured."""
 
 
 def outliers(
@@ -158,12 +159,14 @@ def outliers(
     """Frames of one camera, in order, that the mesh explains far worse than the others: their pose is wrong, or
     something moved.
 
-    A frame is held against all others, and, in the share explained, against the two before and after it: what a
-    camera looks at makes a larger difference than a pose that is a little off, but it changes slowly. Limits are in
-    robust deviations, as recordings differ, with floors below which nothing is worth a word; a small dip in the share
-    is a view along the surface unless the residual rises with it. On eight recordings of
-    10 to 200 frames the worst good frame was 5 deviations from those around it; 40 of 40 frames with poses 10 cm off
-    were found.
+    A frame is compared with all others and, in the share explained, with the two before and the two after it: the view
+    has more influence than a small error of the pose, but changes slowly. Limits are in robust deviations, because
+    recordings differ, with lower bounds; a small dip in the share is an oblique view unless the residual rises with it.
+    On eight recordings of 10 to 200 frames the worst good frame was 5 deviations from those around it; 40 of 40 frames
+    with poses 10 cm off were found.
+
+    Args:
+        n_judged, explained, residual_abs: of `Fit`, for each frame.
     """
     judged = (n_judged >= LEAST_JUDGED) & np.isfinite(explained) & np.isfinite(residual_abs)
     odd = np.zeros(len(judged), bool)
@@ -189,7 +192,7 @@ def _around(values: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
 
 
 def _median_and_deviation(values: Float[ndarray, "n"]) -> tuple[float, float]:
-    """The median, and the standard deviation that a normal distribution of that median deviation would have."""
+    """The median, and the standard deviation of a normal distribution with the same median absolute deviation."""
     median = float(np.median(values))
     return median, SIGMA_FROM_MAD * float(np.median(np.abs(values - median)))
 

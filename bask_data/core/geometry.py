@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 RIGID_TOLERANCE = 1e-3
-"""Largest deviation of R^T R from the identity that still counts as rounding in a text file."""
+"""Largest deviation of R^T R from the identity that counts as rounding in a text file."""
 
 
 def invert_rigid(a_from_b: Float[ndarray, "*n 4 4"]) -> Float[ndarray, "*n 4 4"]:
@@ -102,7 +102,7 @@ def view_change(
 
 
 def rigid_fault(matrix: Float[ndarray, "4 4"], tolerance: float = RIGID_TOLERANCE) -> str:
-    """Why `matrix` is no rigid transform, in words for an error message; empty when it is one."""
+    """Why `matrix` is not a rigid transform, in words for an error message; empty if it is one."""
     if not np.isfinite(matrix).all():
         return "a value that is not finite"
     if not np.allclose(matrix[3], [0, 0, 0, 1], atol=tolerance):
@@ -120,7 +120,7 @@ def rigid_fault(matrix: Float[ndarray, "4 4"], tolerance: float = RIGID_TOLERANC
 
 
 def nearest_rigid(matrix: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"]:
-    """The rigid transform closest to an almost rigid one: text files round, and rounding must not add up."""
+    """The rigid transform closest to an almost rigid one, so that rounding in text files does not accumulate."""
     left, _, right = np.linalg.svd(matrix[:3, :3])
     rigid = np.eye(4)
     rigid[:3, :3] = left @ right

@@ -1,4 +1,4 @@
-"""How right tracks of keypoints are: told apart by what the cameras see of the points, and over time."""
+"""Errors of keypoint tracks, by what the cameras see of the points, and over time."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 MOVING = 0.001
-"""Metres in one frame from which on a point counts as moving."""
+"""Metres in one frame from which a point counts as moving. Assumes a tabletop. Chosen, sensitivity not measured."""
 RETURNING = 5
-"""Frames after it was lost from sight, for as many at least, in which a point is on its return."""
+"""Number of frames in which a point counts as returning, after at least as many in which it was not visible. Chosen,
+sensitivity not measured."""
 CLOSE = 0.02
-"""Metres within which a keypoint is where it should be."""
+"""Metres from ground truth within which an estimate counts as close. Assumes a tabletop."""
 PHASES = ("visible", "occluded", "out of view", "not seen yet", "returning", "moving", "still")
-"""What frames are told apart by. The first four exclude each other, and so do the last two. What no camera has seen
-yet nobody can know: it is neither occluded nor out of view."""
+"""Classes of frames. The first four exclude each other, and so do the last two. A point that no camera has seen yet
+cannot be known: it is neither occluded nor out of view."""
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """What the cameras see of k keypoints in t frames; a keypoint is in one of these states, or its place is unknown.
+    """States of k keypoints in t frames, for all cameras together; none where the position is unknown.
 
     Attributes:
         visible: some camera shows it.
-        occluded: it is in some camera's image, and behind something in all of these.
-        out_of_view: it is in no camera's image.
+        occluded: it is inside some images, and hidden in all of these.
+        out_of_view: it is in no image.
     """
 
     visible: Bool[ndarray, "t k"]
@@ -38,12 +39,12 @@ class Sighting:
 def sighting(
     inside: Bool[ndarray, "c t k"], hidden: Bool[ndarray, "c t k"], places: Float[ndarray, "t k 3"]
 ) -> Sighting:
-    """What all cameras together see of keypoints.
+    """States of keypoints for all cameras together.
 
     Args:
-        inside: whether each camera's image holds the point.
-        hidden: whether something is in front of it there.
-        places: where the points truly are, metres; NaN where that is not known.
+        inside: whether the point is inside each camera's image.
+        hidden: whether an occluder is in front of it there.
+        places: true positions, metres; NaN where unknown.
     """
     known = np.isfinite(places).all(axis=2)
     visible, in_some = (inside & ~hidden).any(axis=0), inside.any(axis=0)
@@ -66,7 +67,7 @@ def phases(places: Float[ndarray, "t k 3"], seen: Sighting) -> dict[str, Bool[nd
 
 
 def moving(places: Float[ndarray, "t k 3"], least: float = MOVING) -> Bool[ndarray, "t k"]:
-    """Whether a point has moved by so many metres since the frame before; unknown places do not move."""
+    """Whether a point has moved by at least so many metres since the previous frame; False where unknown."""
     step = np.linalg.norm(np.diff(places, axis=0, prepend=places[:1]), axis=2)
     return np.nan_to_num(step) >= least
 
@@ -74,35 +75,35 @@ def moving(places: Float[ndarray, "t k 3"], least: float = MOVING) -> Bool[ndarr
 def returning(visible: Bool[ndarray, "t k"], n: int = RETURNING) -> Bool[ndarray, "t k"]:
     """The first n frames in which a point is visible again, after it was seen once and then not for n frames or more.
 
-    A point that is lost again on its return is not visible, and so not returning, while it is.
+    Frames among these in which it is hidden again do not count.
     """
-    found = np.zeros(visible.shape, dtype=bool)
+    result = np.zeros(visible.shape, dtype=bool)
     lost = np.zeros(visible.shape[1], dtype=int)
     since = np.full(visible.shape[1], n)
     ever = np.zeros(visible.shape[1], dtype=bool)
-    for now, shown in zip(found, visible, strict=True):
+    for now, shown in zip(result, visible, strict=True):
         comes_back = shown & ever & (lost >= n)
         since = np.where(comes_back, 0, since + 1)
         now[:] = shown & (since < n)
         lost = np.where(shown, 0, lost + 1)
         ever |= shown
-    return found
+    return result
 
 
 def distances(a: Float[ndarray, "t k 3"], b: Float[ndarray, "t k 3"]) -> Float[ndarray, "t k"]:
-    """Metres between two points of each keypoint and frame; NaN where either is not known."""
+    """Distance between two positions of each keypoint and frame, metres; NaN where either is unknown."""
     return np.linalg.norm(a.astype(np.float64) - b.astype(np.float64), axis=2)
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Figures of the distances of many frames and keypoints; NaN where there are none.
+    """Statistics of the distances of many frames and keypoints, metres; NaN where there are none.
 
     Attributes:
-        n: distances that are known.
-        n_unknown: frames and keypoints without an estimate.
-        deviation: of the tracks' own means: how much keypoints and demonstrations differ.
-        close: share of all, those without an estimate included, that are within `CLOSE`.
+        n: number of known distances.
+        n_unknown: number of frames and keypoints without an estimate.
+        deviation: standard deviation of the means of single tracks: how much keypoints and demonstrations differ.
+        close: share of all, including those without an estimate, within `CLOSE`.
     """
 
     n: int
@@ -115,13 +116,13 @@ class Errors:
 
 
 def errors(tracks: Sequence[Float[ndarray, "_ _"]], chosen: Sequence[Bool[ndarray, "_ _"]]) -> Errors:
-    """Figures over the chosen frames and keypoints of several recordings; t and k may differ from one to the next."""
-    values = np.concatenate([np.zeros(0), *(track[mine] for track, mine in zip(tracks, chosen, strict=True))])
+    """Statistics over the chosen frames and keypoints of several recordings, whose t and k may differ."""
+    values = np.concatenate([np.zeros(0), *(track[mask] for track, mask in zip(tracks, chosen, strict=True))])
     known = np.isfinite(values)
     nothing = np.nan
     if not known.any():
         return Errors(0, len(values), nothing, nothing, nothing, nothing, 0.0 if len(values) else nothing)
-    of_tracks = np.concatenate([_means(track, mine) for track, mine in zip(tracks, chosen, strict=True)])
+    of_tracks = np.concatenate([_means(track, mask) for track, mask in zip(tracks, chosen, strict=True)])
     finite = values[known]
     return Errors(
         n=len(finite),
@@ -135,47 +136,47 @@ def errors(tracks: Sequence[Float[ndarray, "_ _"]], chosen: Sequence[Bool[ndarra
 
 
 def _means(track: Float[ndarray, "t k"], chosen: Bool[ndarray, "t k"]) -> Float[ndarray, "k"]:
-    """Of each keypoint, over the chosen frames with a known distance; NaN without any."""
-    mine = chosen & np.isfinite(track)
-    n = mine.sum(axis=0)
-    return np.where(n > 0, np.where(mine, track, 0.0).sum(axis=0) / np.maximum(n, 1), np.nan)
+    """Mean of each keypoint over the chosen frames with a known distance; NaN without any."""
+    counted = chosen & np.isfinite(track)
+    n = counted.sum(axis=0)
+    return np.where(n > 0, np.where(counted, track, 0.0).sum(axis=0) / np.maximum(n, 1), np.nan)
 
 
 @dataclass(frozen=True)
 class OverTime:
-    """Mean and standard deviation across keypoints and recordings at n moments, evenly from first to last frame."""
+    """Mean and standard deviation over keypoints and recordings at n times, evenly from first to last frame."""
 
     mean: Float[ndarray, "n"]
     deviation: Float[ndarray, "n"]
 
 
 def over_time(tracks: Sequence[Float[ndarray, "_ _"]], n: int) -> OverTime:
-    """Recordings of any length laid over each other from first to last frame; NaN where nothing is known.
+    """Statistics of recordings of any length, aligned from first to last frame; NaN where nothing is known.
 
-    Each moment takes the nearest frame: between a frame that sees a point and one that does not, there is nothing.
+    Each time takes the nearest frame, because there is nothing between a frame that sees a point and one that does not.
     """
-    laid = np.concatenate([track[np.linspace(0, len(track) - 1, n).round().astype(int)] for track in tracks], axis=1)
-    known = np.isfinite(laid)
+    aligned = np.concatenate([track[np.linspace(0, len(track) - 1, n).round().astype(int)] for track in tracks], axis=1)
+    known = np.isfinite(aligned)
     count = known.sum(axis=1)
-    mean = np.where(known, laid, 0.0).sum(axis=1) / np.maximum(count, 1)
-    variance = np.where(known, (laid - mean[:, None]) ** 2, 0.0).sum(axis=1) / np.maximum(count, 1)
+    mean = np.where(known, aligned, 0.0).sum(axis=1) / np.maximum(count, 1)
+    variance = np.where(known, (aligned - mean[:, None]) ** 2, 0.0).sum(axis=1) / np.maximum(count, 1)
     return OverTime(np.where(count > 0, mean, np.nan), np.where(count > 0, np.sqrt(variance), np.nan))
 
 
 def share_over_time(phase: Sequence[Bool[ndarray, "_ _"]], n: int) -> Float[ndarray, "n"]:
-    """Share of the keypoints of all recordings that are in a phase, at n moments from first to last frame."""
-    return over_time([one.astype(np.float64) for one in phase], n).mean
+    """Share of the keypoints of all recordings that are in a phase, at n times from first to last frame."""
+    return over_time([is_in.astype(np.float64) for is_in in phase], n).mean
 
 
 def z_edges(least: float = 0.01, most: float = 30.0, n: int = 70) -> Float[ndarray, "n_plus_1"]:
-    """Edges of the bins of descriptor distances: each spans the same factor."""
+    """Edges of n bins of descriptor distance, evenly spaced in its logarithm."""
     return np.geomspace(least, most, n + 1)
 
 
 def z_counts(
     distance: Float[ndarray, "k h w"], groups: Mapping[str, Bool[ndarray, "k h w"]], edges: Float[ndarray, "m"]
 ) -> dict[str, Int[ndarray, "n"]]:
-    """Pixels of distance maps by distance, of each group; what is beyond the first or last edge is in that bin."""
+    """Histogram of the distances in each group of pixels; the first and last bin include what is beyond the edges."""
     i_bin = np.searchsorted(edges, distance, side="right") - 1
     i_bin = i_bin.clip(0, len(edges) - 2)
-    return {name: np.bincount(i_bin[mine], minlength=len(edges) - 1) for name, mine in groups.items()}
+    return {name: np.bincount(i_bin[group], minlength=len(edges) - 1) for name, group in groups.items()}

@@ -1,4 +1,4 @@
-"""How the image changes around a point from one view to another: by how much it turns, and how much larger it gets."""
+"""Local change of the image around a point from one view to another: its rotation and scale."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ from bask_data.core.geometry import in_image, invert_rigid, project, transform, 
 from bask_data.core.scores import true_depth
 
 WINDOW = 2
-"""Half the window, in pixels, whose depths tell how a surface lies."""
+"""Half the window, pixels, that a surface's tangent plane is fitted in. Chosen, sensitivity not measured."""
 SAME_SLOPE = 0.05
-"""Depths around a pixel are of its surface where they differ from its own by at most this share."""
+"""Share of a pixel's depth by which depths around it may differ and still be of its surface. Chosen; its sensitivity is
+in docs/benchmarks.md."""
 FRONTAL = 1e-3
-"""Weight of the wish that a surface faces the camera, against one pixel's measurement: it decides where nothing else
-does, as in a window with a single measured pixel."""
+"""Weight, against one pixel's measurement, of the prior that a surface faces the camera: it decides only in windows
+with too few measurements. Chosen, sensitivity not measured."""
 
 
 def surface_tangents(
     uv: Float[ndarray, "n 2"], depth: Float32[ndarray, "h w"], labels: UInt8[ndarray, "h w"], K: Float[ndarray, "3 3"]
 ) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3 2"]]:
-    """The point of the surface at each pixel, camera frame, metres, and by how many metres it moves a pixel along u
-    and v.
+    """The point of the surface at each pixel, camera frame, metres, and its derivatives along u and v, metres per
+    pixel.
 
-    How the surface lies there is that of the plane through the depths of the same label around; inverse depth is
-    linear over a plane's image. NaN where the nearest pixel has no depth, or is outside the image.
+    The tangent plane is fitted to the depths of the same label around; inverse depth is linear over a plane's image.
+    NaN where the nearest pixel has no depth or is outside the image.
     """
     height, width = depth.shape
     inside = in_image(uv, height, width)
@@ -47,7 +48,7 @@ def surface_tangents(
     plane = np.linalg.solve(normal, np.einsum("npi,np->ni", offset, inverse)[..., None])[..., 0]
     depth_there = np.where(known, true_depth(depth, labels, uv), np.nan)
     points = unproject(uv, depth_there, K)
-    # X = z ray; 1 / z = a u + b v + c, so z moves by -z^2 a a pixel along u.
+    # X = z ray; 1 / z = a u + b v + c, so dz/du = -z^2 a.
     ray = points / depth_there[:, None]
     ray_moves = np.array([[1 / K[0, 0], -K[0, 1] / (K[0, 0] * K[1, 1])], [0, 1 / K[1, 1]], [0, 0]])
     z = depth_there[:, None, None]
@@ -57,9 +58,9 @@ def surface_tangents(
 def image_warp(
     points_camera: Float[ndarray, "n 3"], tangents_camera: Float[ndarray, "n 3 2"], K: Float[ndarray, "3 3"]
 ) -> Float[ndarray, "n 2 2"]:
-    """By how many pixels (rows u, v) the image of a point moves where the point moves along its tangents (columns).
+    """Derivatives of a point's pixel (rows u, v) along its tangents (columns).
 
-    With the tangents of `surface_tangents` of another view, it is the affine part of the way from that view's image.
+    With the tangents of `surface_tangents` from another view, it is the affine part of the map from that view's image.
     """
     x, y, z = points_camera.T
     zero = np.zeros(len(x))
@@ -69,7 +70,7 @@ def image_warp(
 
 
 def turn_of(warp: Float[ndarray, "n 2 2"]) -> Float[ndarray, " n"]:
-    """The angle of the rotation closest to each warp, radians in [0, pi], whatever its sense."""
+    """The angle of the rotation closest to each warp, radians in [0, pi], without its sign."""
     return np.abs(np.arctan2(warp[:, 1, 0] - warp[:, 0, 1], warp[:, 0, 0] + warp[:, 1, 1]))
 
 
@@ -82,13 +83,14 @@ def visible_share(
     world_from_camera: Float[ndarray, "4 4"],
     tolerance: float = 0.005,
 ) -> float:
-    """The share of an object's image that nothing else hides; NaN where none of it is in the image.
+    """The visible share of an object's amodal mask; NaN where none of it is in the image.
 
-    Hidden are the pixels onto which its points fall, or between them, and where something else is seen nearer.
+    Hidden are pixels on or between the projections of its points that show something nearer.
 
     Args:
         points_world: of its whole surface, in the image not farther apart than two or three pixels.
-        tolerance: metres by which what hides must be nearer.
+        label: of the object in `labels`.
+        tolerance: metres by which an occluder must be nearer.
     """
     height, width = depth.shape
     uv, z = project(transform(invert_rigid(world_from_camera), points_world), K)

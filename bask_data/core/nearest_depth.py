@@ -26,7 +26,7 @@ def fill_depth(depth: Float[ndarray, "h w"]) -> Float[ndarray, "h w"]:
 def shrink_depth(depth: Float[ndarray, "h w"], size: tuple[int, int]) -> Float[ndarray, "h2 w2"]:
     """Depth at another resolution: measured at the new pixel's centre, or else the nearest surface within the pixel.
 
-    Depths are never averaged: between a foreground and a background there is nothing.
+    Depths are never averaged, because there is no surface between foreground and background.
 
     Args:
         size: (height, width). May also be larger, the pixels then repeat.

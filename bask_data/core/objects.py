@@ -1,4 +1,4 @@
-"""Split a reconstructed surface into the objects that stand on a support and the background."""
+"""Splitting of a reconstructed surface into the objects on a support and the background."""
 
 from __future__ import annotations
 
@@ -18,20 +18,24 @@ from bask_data.core.planes import height
 MAX_INSTANCES = 255
 """Label images are bytes, and 0 is the background."""
 CORE_SHARE = 0.2
-"""A core holds by default this share of a flat disc of radius eps: an edge or a pen passes, scattered specks do not."""
+"""Default area of a core, as a share of a disc of radius eps: an edge or a pen has it, scattered specks do not. Chosen,
+sensitivity not measured."""
 FOOT_FACING = np.cos(np.deg2rad(60.0))
-"""Surface steeper than this against the support is the side of an object, however low it is. Fusion rounds the corner
-between the two; on analytic scenes masks were best at 60 degrees (mean and worst IoU 0.986 and 0.970 at 40, 0.987 and
-0.977 at 60, 0.981 and 0.955 at 75)."""
+"""Cosine of the angle to the support above which surface is the side of an object, however low. Fusion rounds the
+corner between the two; on analytic scenes masks were best at 60 degrees (mean and worst IoU 0.986 and 0.970 at 40,
+0.987 and 0.977 at 60, 0.981 and 0.955 at 75)."""
 HOLLOW = 0.01
-"""Metres inside the convex hull from which surface counts as a hollow; half a centimetre would be noise."""
+"""Metres inside the convex hull from which surface counts as hollow. Assumes a tabletop. Chosen, sensitivity not
+measured."""
 CONCAVE_SHARE = 0.25
-"""From here an object may be several that touch. On labelled single views of cluttered tables all seven clusters of two
-or three objects had 0.32 to 0.65, all thirty of one object 0.05 or less; but a bowl or a bin is hollow, too."""
+"""Hollow share of the surface from which an object may be several that touch. On labelled single views of cluttered
+tables all seven clusters of two or three objects had 0.32 to 0.65, all thirty of one object 0.05 or less; but a bowl or
+a bin is hollow, too."""
 N_HULL_POINTS = 2000
-"""Points of an object by which its hollows are judged: a share of a quarter is then known within 1 %."""
+"""Most points of an object that its hollow share is computed from. Chosen, sensitivity not measured."""
 FLOATING = 0.03
-"""Metres between the support and the lowest object beyond which the support is doubted."""
+"""Metres between the support and the lowest object beyond which the support is doubted. Assumes a tabletop. Chosen,
+sensitivity not measured."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class Instance:
         area: square metres of surface.
         centroid: centre of the surface, metres, world.
         extents: edges of its box along the world's axes, metres.
-        concave_share: of its surface, what is more than `HOLLOW` inside its convex hull.
+        concave_share: share of its surface that is more than `HOLLOW` inside its convex hull.
     """
 
     id: int
@@ -72,10 +76,10 @@ class Split:
 
     Args:
         vertex_instance: 0 background, 1..k the instances, largest surface first.
-        background: the planes, and what else is no object.
-        neighbours: pairs of objects that would be one if twice the gap were allowed.
-        n_too_small, n_too_large, n_too_many: clusters that were made background, by reason.
-        warnings: what a user should look at, one sentence each.
+        background: the planes and the rest of the background.
+        neighbours: pairs of objects that would be one with twice the gap allowed.
+        n_too_small, n_too_large, n_too_many: numbers of clusters that became background, by reason.
+        warnings: for the user, one sentence each.
     """
 
     vertex_instance: Int[ndarray, "n"]
@@ -91,15 +95,15 @@ class Split:
 def vertex_normals_and_areas(
     vertices: Float[ndarray, "n 3"], triangles: Int[ndarray, "m 3"]
 ) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n"]]:
-    """Unit normals and the square metres each vertex stands for; both zero for a vertex of no triangle.
+    """Unit normals, and the square metres that each vertex represents; both zero for a vertex of no triangle.
 
-    The normal is on the side from which a triangle's corners run counter-clockwise, where fusion puts the cameras.
+    Normals point to the side from which a triangle's corners run counter-clockwise: with fusion, towards the cameras.
     """
     corners = vertices[triangles].astype(np.float64)
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     third = np.repeat(np.linalg.norm(doubled, axis=1) / 6.0, 3)
     flat = triangles.ravel()
-    # Of nothing, bincount makes integers.
+    # Without triangles, bincount returns integers.
     areas = np.bincount(flat, weights=third, minlength=len(vertices)).astype(np.float64)
     normals = np.stack(
         [np.bincount(flat, weights=np.repeat(axis, 3), minlength=len(vertices)) for axis in doubled.T], axis=1
@@ -109,18 +113,18 @@ def vertex_normals_and_areas(
 
 
 def edges_of(triangles: Int[ndarray, "m 3"]) -> Int[ndarray, "e 2"]:
-    """Every edge of every triangle; shared edges appear twice, which no use of them minds."""
+    """The edges of all triangles; shared edges appear twice."""
     return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
 @dataclass(frozen=True)
 class SplitSettings(BackgroundSettings):
-    """What is an object, beside what is background.
+    """Settings of objects and background. The default lengths assume a tabletop.
 
     Args:
-        eps: metres between neighbours of one object.
+        eps: greatest gap within one object, metres. Its sensitivity is in docs/benchmarks.md.
         core_area: square metres within `eps` that make a core; by default a fifth of a disc of that radius.
-        min_area: square metres of surface an object has at least.
+        min_area: least surface of an object, square metres.
     """
 
     eps: float = 0.02
@@ -182,7 +186,8 @@ def clustered(
     min_area: float,
     max_extent: float,
 ) -> tuple[Int[ndarray, "n"], tuple[int, int, int]]:
-    """Cluster of each vertex from 1, 0 for none; and the numbers of clusters too small, too large, too many."""
+    """Cluster of each vertex, from 1, 0 for none; and the numbers of clusters that are too small, too large, and beyond
+    the greatest number of instances."""
     labels = np.zeros(len(vertices), np.int64)
     chosen = np.flatnonzero(foreground)
     if not len(chosen):
@@ -224,12 +229,12 @@ def without_crumbs(
     low: float,
     min_area: float,
 ) -> Int[ndarray, "n"]:
-    """Labels without low patches that the mesh does not join to their object: bumps of the table near its foot.
+    """Labels without low patches that the mesh does not connect to their object: bumps of the table near its foot.
 
     Args:
         above: height above the support, metres.
-        low: patches that rise higher than this many metres are parts of the object, however loose.
-        min_area: patches of this many square metres are parts of it, however low.
+        low: metres; patches that rise higher belong to the object even if not connected.
+        min_area: square metres; patches at least as large belong to it, however low.
     """
     same = edges[(labels[edges[:, 0]] > 0) & (labels[edges[:, 0]] == labels[edges[:, 1]])]
     graph = coo_array((np.ones(len(same), bool), (same[:, 0], same[:, 1])), shape=(len(labels), len(labels)))
@@ -248,7 +253,7 @@ def numbered(
     weight = np.bincount(labels, weights=areas, minlength=int(labels.max(initial=0)) + 1)
     centroid = [np.bincount(labels, weights=areas * axis, minlength=len(weight))[present] for axis in vertices.T]
     size = weight[present]
-    # Rounded, so that the last bits of a sum do not decide an order.
+    # Rounded, so that the order does not depend on the last bits of a sum.
     keys = [np.round(axis / np.maximum(size, 1e-12), 6) for axis in reversed(centroid)]
     order = present[np.lexsort((*keys, -np.round(size, 9)))]
     renumber = np.zeros(len(weight), np.int32)
@@ -259,7 +264,7 @@ def numbered(
 def describe(
     labels: Int[ndarray, "n"], n_instances: int, vertices: Float[ndarray, "n 3"], areas: Float[ndarray, "n"]
 ) -> list[Instance]:
-    """What is known of each instance, in order."""
+    """The description of each instance, in order."""
     rows = []
     for instance in range(1, n_instances + 1):
         mine = labels == instance
@@ -271,14 +276,14 @@ def describe(
 
 
 def concave_share(points: Float[ndarray, "n 3"], areas: Float[ndarray, "n"]) -> float:
-    """Share of a surface that is more than `HOLLOW` inside its convex hull, by some of its points."""
+    """Share of a surface that is more than `HOLLOW` inside its convex hull, from a sample of its points."""
     try:
         facets = ConvexHull(points).equations
     except (QhullError, ValueError):  # Flat, or fewer than four points.
         return 0.0
-    some = slice(None, None, -(-len(points) // N_HULL_POINTS))
-    depth = -(points[some] @ facets[:, :3].T + facets[:, 3]).max(axis=1)
-    return float(areas[some][depth > HOLLOW].sum() / max(areas[some].sum(), 1e-12))
+    sample = slice(None, None, -(-len(points) // N_HULL_POINTS))
+    depth = -(points[sample] @ facets[:, :3].T + facets[:, 3]).max(axis=1)
+    return float(areas[sample][depth > HOLLOW].sum() / max(areas[sample].sum(), 1e-12))
 
 
 def neighbours(
@@ -292,7 +297,7 @@ def neighbours(
         for b in range(a + 1, n_instances):
             if (np.maximum(trees[a].mins - trees[b].maxes, trees[b].mins - trees[a].maxes) > reach).any():
                 continue
-            # Only what is near the other's box is worth a search.
+            # Only points near the other's box need a search.
             near = ((points[a] >= trees[b].mins - reach) & (points[a] <= trees[b].maxes + reach)).all(axis=1)
             gap = trees[b].query(points[a][near], distance_upper_bound=reach)[0].min(initial=np.inf)
             if np.isfinite(gap):

@@ -1,7 +1,7 @@
-"""The support plane: where it is, how noisy it is, and what stands on it.
+"""Planes in a surface: their position, their noise, and the points above them.
 
-Planes are (4,) float64 [nx, ny, nz, d] with |n| = 1 and n.x + d = 0; n points to the side the surface was seen from,
-where the objects are, so `height` is positive above the support.
+Planes are (4,) float64 [nx, ny, nz, d] with |n| = 1 and n.x + d = 0; n points to the side that the surface was seen
+from, where the objects are, so `height` is positive above the support.
 """
 
 from __future__ import annotations
@@ -17,21 +17,22 @@ from scipy.spatial import ConvexHull, QhullError
 from bask_data.core.depth import SIGMA_FROM_MAD
 
 SAME_FACING = np.cos(np.deg2rad(30.0))
-"""Vertices whose normal is further from the plane's belong to something that cuts through it, not to the plane."""
+"""Cosine of the angle between normals up to which a vertex belongs to a plane; others belong to something that cuts
+through it. Chosen, sensitivity not measured."""
 N_HYPOTHESES = 8192
-"""Triples drawn for one plane. With three of ten points on the plane, some two hundred are on it entirely. Sensitivity
-not measured."""
+"""Triples drawn for one plane. Chosen, sensitivity not measured."""
 N_SCORED = 512
-"""Of these, at most, the planes whose support is counted; a bound of time. Sensitivity not measured."""
+"""Most of these planes whose inliers are counted. Chosen to bound time, sensitivity not measured."""
 N_SCORING_POINTS = 20_000
-"""Points, drawn by area, on which support is counted: a share of 3 % is then known within 0.12 %. Sensitivity not
-measured."""
+"""Points, drawn by area, among which inliers are counted. Chosen, sensitivity not measured."""
 CHUNK = 64
-"""Planes scored at once; a bound of memory, 10 MB a chunk. It changes no result."""
+"""Planes scored at once. Chosen to bound memory; it changes no result."""
 UNLIKELY = 0.1
-"""What a plane that turns its back on the guessed up counts for: it must be ten times as large."""
+"""Least factor on the area of a plane that faces away from the guessed up: it must be ten times as large. Chosen,
+sensitivity not measured."""
 PATCH_CELL = 0.02
-"""Parts of a plane further apart than this, metres, are different surfaces that happen to be level."""
+"""Metres; parts of a plane further apart are different surfaces at the same height. Assumes a tabletop. Chosen,
+sensitivity not measured."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +52,15 @@ class Plane:
 
 @dataclass(frozen=True)
 class PlaneSearch:
-    """What `find_planes` looks for.
+    """Settings of `find_planes`.
 
     Args:
-        inlier: metres a point may be off a plane to count for it. A depth camera's noise at a metre is 2 to 5 mm.
-        up: unit vector; only planes within 30 degrees of facing it are looked for.
-        guess_up: unit vector; planes are ordered by area times how much they face it, or by area alone without it.
-        n_planes: found at most.
-        min_share: of the surface that a plane must hold.
+        inlier: metres from a plane within which points are its inliers. The default assumes a depth camera with 2 to 5
+            mm of noise at a metre.
+        up: unit vector; only planes that face it within 30 degrees are searched.
+        guess_up: unit vector; planes are ordered by area times the cosine to it, or by area alone without it.
+        n_planes: greatest number of planes.
+        min_share: least share of the surface's area on a plane.
     """
 
     inlier: float = 0.01
@@ -74,11 +76,10 @@ def height(points_world: Float[ndarray, "n 3"], plane: Float[ndarray, "4"]) -> F
 
 
 def fit_plane(points_world: Float[ndarray, "n 3"], weights: Float[ndarray, "n"]) -> Float[ndarray, "4"]:
-    """The weighted least-squares plane; the sign of its normal means nothing."""
+    """The weighted least-squares plane; the sign of its normal is arbitrary."""
     centre = np.average(points_world, axis=0, weights=weights)
     offset = points_world - centre
-    # Smallest eigenvector of the scatter matrix; 3x3, whereas an SVD of the points would need memory in proportion to
-    # them.
+    # The eigenvector of the 3x3 scatter matrix; an SVD of the points would need memory in proportion to them.
     normal = np.linalg.eigh((offset * weights[:, None]).T @ offset)[1][:, 0]
     return np.append(normal, -normal @ centre)
 
@@ -89,7 +90,7 @@ def hypotheses(
     up: Float[ndarray, "3"] | None,
     rng: np.random.Generator,
 ) -> Float[ndarray, "k 4"]:
-    """Planes through random triples of points that all face the plane's way; at most `N_SCORED`."""
+    """Planes through random triples of points whose normals agree with the plane's; at most `N_SCORED`."""
     triples = rng.integers(len(points_world), size=(N_HYPOTHESES, 3))
     a, b, c = (points_world[triples[:, i]] for i in range(3))
     normal = np.cross(b - a, c - a)
@@ -106,19 +107,19 @@ def hypotheses(
 def support_of(
     planes: Float[ndarray, "k 4"], points_world: Float[ndarray, "n 3"], normals: Float[ndarray, "n 3"], inlier: float
 ) -> Float[ndarray, "k"]:
-    """Share of the points that lie on each plane and face its way."""
+    """Share of the points that are inliers of each plane."""
     share = np.empty(len(planes))
     for start in range(0, len(planes), CHUNK):
-        some = planes[start : start + CHUNK]
-        near = np.abs(points_world @ some[:, :3].T + some[:, 3]) < inlier
-        share[start : start + CHUNK] = (near & (normals @ some[:, :3].T > SAME_FACING)).mean(axis=0)
+        chunk = planes[start : start + CHUNK]
+        near = np.abs(points_world @ chunk[:, :3].T + chunk[:, 3]) < inlier
+        share[start : start + CHUNK] = (near & (normals @ chunk[:, :3].T > SAME_FACING)).mean(axis=0)
     return share
 
 
 def on_plane(
     points_world: Float[ndarray, "n 3"], normals: Float[ndarray, "n 3"], plane: Float[ndarray, "4"], inlier: float
 ) -> Bool[ndarray, "n"]:
-    """Points within `inlier` metres of the plane that face its way."""
+    """The inliers of a plane: points within `inlier` metres whose normals agree with its own."""
     return (np.abs(height(points_world, plane)) < inlier) & (normals @ plane[:3] > SAME_FACING)
 
 
@@ -129,7 +130,7 @@ def refine(
     areas: Float[ndarray, "n"],
     inlier: float,
 ) -> Plane:
-    """The plane moved to the middle of the surface near it, with that surface's noise."""
+    """The plane fitted to the surface near it, with that surface's noise and area."""
     tolerance = inlier
     for _ in range(10):
         near = on_plane(points_world, normals, plane, tolerance)
@@ -139,8 +140,8 @@ def refine(
         plane = fitted * np.sign(fitted[:3] @ plane[:3])
         residual = height(points_world[near], plane)
         noise = SIGMA_FROM_MAD * float(np.median(np.abs(residual - np.median(residual))))
-        # Three sigma keeps the surface and drops the feet of what stands on it, which would tilt the fit. Narrowed step
-        # by step, because the feet widen the first estimates of the noise.
+        # Three sigma keeps the surface and drops the feet of objects on it, which would tilt the fit. Narrowed step by
+        # step, because the feet widen the first estimates of the noise.
         tolerance = max(min(0.7 * tolerance, 3 * noise), 2.5 * noise, 1e-4)
     near = on_plane(points_world, normals, plane, inlier)
     residual = height(points_world[near], plane)
@@ -149,11 +150,10 @@ def refine(
 
 
 def upward(world_from_cameras: Float[ndarray, "t 4 4"]) -> Float[ndarray, "3"]:
-    """A guess at the side a support faces: up in the images, and half as much towards the cameras.
+    """A guess of the support's normal: up in the images, and half as much towards the cameras.
 
-    Level cameras see a wall and a floor; up in the image tells them apart. Cameras that look straight down see the
-    support alone, facing them. Wrong for a camera mounted upside down, so it is good for a preference and not for a
-    verdict.
+    Level cameras see a wall and a floor, which up in the image distinguishes. Cameras that look straight down see the
+    support alone, facing them. The guess is wrong for a camera mounted upside down, so it is only a preference.
     """
     up = -world_from_cameras[:, :3, 1].mean(axis=0) - 0.5 * world_from_cameras[:, :3, 2].mean(axis=0)
     return up / max(float(np.linalg.norm(up)), 1e-12)
@@ -166,12 +166,12 @@ def find_planes(
     rng: np.random.Generator,
     search: PlaneSearch = PlaneSearch(),
 ) -> list[Plane]:
-    """The largest planes of a surface by RANSAC, the likeliest support first; empty when there are none.
+    """The largest planes of a surface by RANSAC, the most likely support first; empty when there are none.
 
     Args:
-        normals: unit, towards where the surface was seen from; zero for a point without a surface, which then supports
-            nothing.
-        areas: square metres each point stands for.
+        normals: unit, towards where the surface was seen from; zero for a point without a surface, which is then no
+            inlier.
+        areas: square metres of surface that each point represents.
 
     Raises:
         ValueError: `search.inlier` is not positive.
@@ -198,11 +198,11 @@ def find_planes(
             break
         free &= ~taken
         found.append(plane)
-    return sorted(found, key=lambda one: -preference(one, search.guess_up))
+    return sorted(found, key=lambda plane: -preference(plane, search.guess_up))
 
 
 def preference(plane: Plane, guess_up: Float[ndarray, "3"] | None) -> float:
-    """Square metres, counted for less the more the plane turns from the guess; never for nothing, as guesses err."""
+    """Area, square metres, times the cosine to the guessed up; never less than `UNLIKELY` times, as guesses err."""
     return plane.area * (1.0 if guess_up is None else max(float(plane.plane[:3] @ guess_up), UNLIKELY))
 
 
@@ -215,7 +215,7 @@ def plane_axes(plane: Float[ndarray, "4"]) -> Float[ndarray, "2 3"]:
 
 
 def largest_patch(xy: Float[ndarray, "n 2"], weights: Float[ndarray, "n"]) -> Bool[ndarray, "n"]:
-    """Points of the heaviest connected part, so that a level shelf elsewhere does not stretch the table."""
+    """Points of the heaviest connected part, so that a shelf at the same height does not extend the table."""
     cells = np.floor(xy / PATCH_CELL).astype(np.int64)
     cells -= cells.min(axis=0)
     grid = np.zeros(cells.max(axis=0) + 1, bool)
@@ -231,9 +231,9 @@ def above_footprint(
     areas: Float[ndarray, "m"],
     margin: float = 0.0,
 ) -> Bool[ndarray, "n"]:
-    """Points over the convex hull of the support's surface: the prism in which objects can stand on it.
+    """Points above the convex hull of the support's surface: the prism in which objects can stand on it.
 
-    The hull, not the surface itself, because the surface is unseen under the objects and behind them.
+    The hull, not the surface itself, because the surface is hidden under the objects and behind them.
 
     Args:
         surface_world: points on the plane.
@@ -249,7 +249,7 @@ def above_footprint(
         return np.zeros(len(points_world), bool)
     inside = np.ones(len(points_world), bool)
     at = points_world @ axes.T
-    # One facet at a time: all at once would take points x facets of memory.
+    # One facet at a time, to save memory of the size points x facets.
     for facet in hull.equations:
         inside &= at @ facet[:2] + facet[2] <= margin
     return inside

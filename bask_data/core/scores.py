@@ -1,4 +1,4 @@
-"""How good masks, matches and keypoints are, held against what is known of a recording: for reports and evaluations."""
+"""Accuracy of masks, matches and keypoints compared with ground truth."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OUTSIDE = -1
 
 @dataclass(frozen=True)
 class Distribution:
-    """Figures of n numbers; NaN where there are none."""
+    """Statistics of n numbers; NaN where there are none."""
 
     n: int
     median: float
@@ -53,7 +53,7 @@ def overlap(labels: UInt8[ndarray, "h w"], instances: UInt8[ndarray, "h w"]) -> 
 
 @dataclass(frozen=True)
 class LabelMatch:
-    """The instance that covers a label best; instance 0 and IoU 0 if none touches it."""
+    """The instance with the largest IoU with a label; instance 0 and IoU 0 if none overlaps it."""
 
     label: int
     instance: int
@@ -63,9 +63,9 @@ class LabelMatch:
 
 
 def best_instances(table: Int[ndarray, "256 256"]) -> list[LabelMatch]:
-    """For each label that occurs, the instance of largest intersection over union, over all frames at once.
+    """For each label that occurs, the instance of largest IoU, over all frames together.
 
-    An instance may be the best of several labels: objects that were not told apart show in their low IoU.
+    An instance may be the best of several labels: objects that were not separated have a low IoU.
 
     Args:
         table: of `overlap`, summed over frames.
@@ -80,9 +80,9 @@ def best_instances(table: Int[ndarray, "256 256"]) -> list[LabelMatch]:
 
 
 def joined(touching: Sequence[tuple[int, int]]) -> UInt8[ndarray, "256"]:
-    """For each label the smallest label of the group it belongs to, where labels that touch are one group.
+    """For each label, the smallest label of its group, where labels that touch are one group.
 
-    Geometry cannot tell touching bodies apart, so they are held against one instance. Use it as `joined(t)[labels]`.
+    Geometry cannot separate touching bodies, so they are compared with one instance. Use it as `joined(t)[labels]`.
     """
     graph = coo_array(
         (np.ones(len(touching), bool), np.asarray(touching, np.int64).reshape(-1, 2).T), shape=(N_LABELS, N_LABELS)
@@ -93,8 +93,7 @@ def joined(touching: Sequence[tuple[int, int]]) -> UInt8[ndarray, "256"]:
 
 
 def paired_instances(table: Int[ndarray, "256 256"]) -> list[LabelMatch]:
-    """For each label that occurs the instance it is paired with, so that the sum of IoU is the largest; no instance is
-    given to two labels.
+    """For each label that occurs, the instance of the one-to-one assignment with the largest sum of IoU.
 
     Args:
         table: of `overlap`, summed over frames.
@@ -103,13 +102,13 @@ def paired_instances(table: Int[ndarray, "256 256"]) -> list[LabelMatch]:
     labels = np.flatnonzero(table.sum(axis=1)[1:]) + 1
     chosen = linear_sum_assignment(-iou[labels, 1:])[1] + 1
     return [
-        LabelMatch(int(label), int(one) if iou[label, one] > 0 else 0, float(iou[label, one]), int(table[label].sum()))
-        for label, one in zip(labels, chosen, strict=True)
+        LabelMatch(int(label), int(i) if iou[label, i] > 0 else 0, float(iou[label, i]), int(table[label].sum()))
+        for label, i in zip(labels, chosen, strict=True)
     ]
 
 
 def _iou(table: Int[ndarray, "256 256"]) -> Float[ndarray, "256 256"]:
-    """Intersection over union of each label and instance; 0 for the instance 0, which is none."""
+    """IoU of each label and instance; 0 for instance 0, the background."""
     union = table.sum(axis=1)[:, None] + table.sum(axis=0)[None, :] - table
     iou = np.where(union > 0, table / np.maximum(union, 1), 0.0)
     iou[:, 0] = 0.0
@@ -117,7 +116,7 @@ def _iou(table: Int[ndarray, "256 256"]) -> Float[ndarray, "256 256"]:
 
 
 def label_at(labels: UInt8[ndarray, "h w"], pixel: Float[ndarray, "*n 2"]) -> Int[ndarray, "*n"]:
-    """The label of the nearest pixel; `OUTSIDE` where there is none or the pixel is NaN."""
+    """The label of the nearest pixel; `OUTSIDE` where the position is outside the image or NaN."""
     height, width = labels.shape
     inside = in_image(pixel, height, width)
     nearest = np.rint(np.where(inside[..., None], pixel, 0)).astype(np.int64)
@@ -127,18 +126,18 @@ def label_at(labels: UInt8[ndarray, "h w"], pixel: Float[ndarray, "*n 2"]) -> In
 
 @dataclass(frozen=True)
 class Landing:
-    """Where k keypoints lie in one frame, by its labels."""
+    """The labels at k keypoints in one frame."""
 
     in_view: Bool[ndarray, "k"]
-    """Whether any pixel of the keypoint's own object is in the frame; the rest says something only where it is."""
+    """Whether any pixel of the keypoint's own object is in the frame; the other fields are meaningful only then."""
     label: Int[ndarray, "k"]
-    """The label under the keypoint, or `OUTSIDE`."""
+    """The label at the keypoint, or `OUTSIDE`."""
     exact: Bool[ndarray, "k"]
     """Whether that is the keypoint's own object."""
     near: Bool[ndarray, "k"]
     """Whether the own object is within the tolerance."""
     chance: Float[ndarray, "k"]
-    """The own object's share of the image: how often a pixel drawn blindly would lie on it."""
+    """Chance level: the own object's share of the image."""
 
 
 def landing(
@@ -150,9 +149,9 @@ def landing(
     """Whether keypoints lie on the objects they belong to.
 
     Args:
-        pixel: (u, v); NaN or outside the image is on nothing.
+        pixel: (u, v); NaN or outside the image is on no object.
         own_label: label of each keypoint's object; 0, unknown, is never in view.
-        tolerance_px: a keypoint this close to its object counts as near.
+        tolerance_px: distance from its object, pixels, up to which a keypoint counts as near.
 
     Raises:
         ValueError: `tolerance_px` is negative.
@@ -171,7 +170,7 @@ def landing(
 
 
 def _distance_to_label(pixel: Float[ndarray, "2"], label: int, labels: UInt8[ndarray, "h w"], reach_px: float) -> float:
-    """Pixels to the nearest centre with this label, looking no farther than `reach_px`; infinity if there is none."""
+    """Pixels to the nearest centre with this label, searched up to about `reach_px`; infinity if there is none."""
     height, width = labels.shape
     u_low, v_low = np.maximum(np.floor(pixel - reach_px), 0).astype(np.int64)
     u_high, v_high = np.minimum(np.ceil(pixel + reach_px) + 1, [width, height]).astype(np.int64)
@@ -189,15 +188,15 @@ def spread(covariance: Float[ndarray, "t k 3 3"]) -> Float[ndarray, "t k"]:
 
 
 def step_length(mean: Float[ndarray, "t k 3"]) -> Float[ndarray, "t_minus_1 k"]:
-    """Metres each keypoint moves from a frame to the next. Where nothing moves, this is jitter."""
+    """Distance that each keypoint moves from a frame to the next, metres; jitter where nothing moves."""
     return np.linalg.norm(np.diff(mean.astype(np.float64), axis=0), axis=-1)
 
 
 @dataclass(frozen=True)
 class ObjectShares:
-    """How keypoints lie over many frames, as shares of the (frame, keypoint) combinations counted.
+    """Labels at keypoints over many frames, as shares of the pairs of frame and keypoint whose own object is in view.
 
-    Counted are those whose own object is in the frame; `right`, `other`, `background` and `outside` add up to one.
+    `right` is on the own object; `right`, `other`, `background` and `outside` add up to one.
     """
 
     n: int
@@ -217,36 +216,37 @@ def object_shares(landings: Sequence[Landing], chosen: Bool[ndarray, "k"] | None
     """
     if not landings:
         return ObjectShares(0, *[np.nan] * 6)
-    counted = np.stack([one.in_view for one in landings])
+    counted = np.stack([frame.in_view for frame in landings])
     if chosen is not None:
         counted &= chosen
     n = int(counted.sum())
     if not n:
         return ObjectShares(0, *[np.nan] * 6)
-    exact = np.stack([one.exact for one in landings])[counted]
-    label = np.stack([one.label for one in landings])[counted]
+    exact = np.stack([frame.exact for frame in landings])[counted]
+    label = np.stack([frame.label for frame in landings])[counted]
     return ObjectShares(
         n=n,
         right=float(exact.mean()),
-        near=float(np.stack([one.near for one in landings])[counted].mean()),
+        near=float(np.stack([frame.near for frame in landings])[counted].mean()),
         other=float(((label > 0) & ~exact).mean()),
         background=float((label == 0).mean()),
         outside=float((label == OUTSIDE).mean()),
-        chance=float(np.stack([one.chance for one in landings])[counted].mean()),
+        chance=float(np.stack([frame.chance for frame in landings])[counted].mean()),
     )
 
 
 INTERPOLABLE = 0.02
-"""Depths around a position belong to one surface where the farthest is at most this share beyond the nearest."""
+"""Share by which the farthest of the four depths around a position may exceed the nearest for them to be of one
+surface. Chosen; its sensitivity is in docs/benchmarks.md."""
 
 
 def true_depth(
     depth: Float32[ndarray, "h w"], labels: UInt8[ndarray, "h w"], uv: Float[ndarray, "n 2"]
 ) -> Float[ndarray, "n"]:
-    """True z-depth at positions between pixels, metres; 0 where nothing is shown, or outside the image.
+    """z-depth of exact depth images at positions between pixels, metres; 0 where there is none, and outside the image.
 
     Bilinear in inverse depth, which is exact on planes, where the four pixels around show one surface of one body; else
-    the nearest pixel's.
+    that of the nearest pixel.
     """
     height, width = depth.shape
     inside = in_image(uv, height, width)
@@ -270,10 +270,10 @@ def true_depth(
 
 @dataclass(frozen=True)
 class TrueView:
-    """What one view truly shows.
+    """Ground truth of one view.
 
     Args:
-        depth: z-depth, metres; 0 where nothing is shown.
+        depth: z-depth, metres; 0 where the ray hits nothing.
         labels: the body at each pixel.
     """
 
@@ -285,19 +285,23 @@ class TrueView:
 
 @dataclass(frozen=True)
 class MatchErrors:
-    """How wrong m matches are; of the true point, which is the one that the pixel of the first view shows."""
+    """Errors of m matches. The true point is the one that the pixel of the first view shows."""
 
     error_px: Float[ndarray, "m"]
-    """Pixels in the second view between the match and the true point; infinity where the first view shows nothing there
-    or the point is behind the second camera."""
+    """Pixels in the second view between the match and the true point; infinity where there is no true point, or it is
+    behind the second camera."""
     depth: Float[ndarray, "m"]
-    """True z-depth of the point in the second view, metres; NaN where there is no point."""
+    """z-depth of the true point in the second view, metres; NaN where there is none."""
     behind: Float[ndarray, "m"]
-    """Metres by which the point is behind what the second view shows at the nearest pixel: hidden, if more than the
-    slope of a surface explains. Minus infinity where nothing is shown there, or the point is outside the image."""
+    """Metres by which the true point is behind the surface that the second view shows at the nearest pixel: hidden, if
+    more than the slope of a surface explains. Minus infinity without a surface there, and outside the image."""
 
     def hidden(self, slack: tuple[float, float] = (0.02, 0.0)) -> Bool[ndarray, "m"]:
-        """Matches whose point the second view cannot see: it is more than a + b z metres behind what is shown there."""
+        """Matches whose true point is hidden in the second view: more than a + b z metres behind the surface there.
+
+        Args:
+            slack: (a, b); the default assumes a tabletop.
+        """
         return self.behind > slack[0] + slack[1] * np.nan_to_num(self.depth)
 
 
@@ -307,10 +311,10 @@ def match_errors(
     a: TrueView,
     b: TrueView,
 ) -> MatchErrors:
-    """Hold matches against exact depth and exact cameras.
+    """Errors of matches by exact depth and exact cameras.
 
     Args:
-        uv_a, uv_b: pixels of the two views that are said to show one point.
+        uv_a, uv_b: matched pixels of the two views.
     """
     z_a = true_depth(a.depth, a.labels, uv_a.astype(np.float64))
     points_b = transform(

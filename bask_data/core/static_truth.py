@@ -1,4 +1,4 @@
-"""What a camera sees of points known to stand still: the truth that a static recording holds about its keypoints."""
+"""Visibility of static points: the ground truth that a recording of a static scene provides for its keypoints."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from bask_data.core.geometry import in_image, project
 
 
 class Visibility(IntEnum):
-    """How a point stands to one camera in one frame."""
+    """State of a point for one camera in one frame."""
 
     OUT_OF_VIEW = 0
     OCCLUDED = 1
     """Something was measured clearly in front of it."""
     VISIBLE = 2
     UNKNOWN = 3
-    """No depth was measured there, or one clearly behind: the measurements do not know this point."""
+    """No depth was measured there, or one clearly behind it."""
 
 
 def visibility(
@@ -33,7 +33,7 @@ def visibility(
 
     Args:
         depth: z-depth, metres; 0 means no measurement.
-        tolerance: metres by which measured and true depth may differ for a point to count as seen; larger than the
+        tolerance: metres by which measured and true depth may differ for a point to count as visible; should exceed the
             sensor's noise and the poses' error together.
 
     Raises:

@@ -13,7 +13,7 @@ from numpy import ndarray
 from bask_data.core.geometry import invert_rigid, rigid_fault, view_change
 
 BLOCK_RESOLUTION = 8
-"""Voxels along the edge of a block; 16 fuses three times slower on a CPU and holds twice the memory."""
+"""Voxels along the edge of a block; with 16, fusion took three times as long on a CPU and twice the memory."""
 
 BLOCK_BYTES = BLOCK_RESOLUTION**3 * 4 * 5
 """Distance, weight and three colours per voxel, float32. With 16-bit colours the running mean loses a fraction in
@@ -24,22 +24,23 @@ HALF_PIXEL = 0.5
 is off by half a pixel."""
 
 HALF_VOXEL = 0.5
-"""The lattice is moved by half a voxel in the world, because calibrated tables lie exactly at z = 0 and a plane
-through lattice points extracts as twice the vertices, half of them in slivers."""
+"""Offset of the lattice in the world, voxels: calibrated tables are exactly at z = 0, and a plane through lattice
+points is extracted with twice the vertices, half of them in slivers."""
 
 FARTHEST = 1e3
-"""Metres; Open3D wants a limit although the caller has already cut the depth."""
+"""Metres; Open3D requires a limit although the depth is already limited."""
 
 GROWTH = 1.25
-"""Room made when a volume turns out too small, as a multiple of what it needs. Open3D alone would double it."""
+"""Capacity of a volume that has to grow, as a multiple of what it needs. Open3D alone would double it. Chosen,
+sensitivity not measured."""
 
 ROOM, LEAST_ROOM = 1.1, 256
-"""Blocks reserved for each that is expected, and in addition: a tenth more memory against a pause in which old and new
-both exist."""
+"""Blocks reserved for each that is expected, and in addition: a tenth more memory avoids growing, when the old and the
+new table both exist. Chosen, sensitivity not measured."""
 
 EXTRACTION_BYTES = 10_000
-"""Held per block while the mesh is extracted: Open3D's index of the vertices on a block's edges, 16 bytes a voxel, and
-the vertices. Measured: 8 to 10 kB."""
+"""Memory per block during extraction: Open3D's index of the vertices on a block's edges, 16 bytes a voxel, and the
+vertices. Measured: 8 to 10 kB."""
 
 
 class VolumeTooLarge(Exception):
@@ -64,15 +65,15 @@ class Mesh:
 
 
 class Volume:
-    """A surface in the making. Takes frames one by one and keeps none of them: memory follows the surface, not the
-    number of frames.
+    """A TSDF volume. Fuses frames one by one and keeps none: memory depends on the surface, not on the number of
+    frames.
 
     Args:
         voxel_size: edge of a voxel, metres.
-        truncation_voxels: distance on both sides of a surface that is kept, in voxels.
+        truncation_voxels: distance around a surface in which the TSDF is kept, voxels.
         bounds: (2, 3) lowest and highest corner of the workspace, world frame, metres; None for no limit.
-        n_blocks: voxel blocks to make room for (`expected_blocks`). When more are needed the volume grows, which
-            takes seconds and for a moment the memory of the old and the new one.
+        n_blocks: voxel blocks to reserve (`expected_blocks`). If more are needed the volume grows, which takes seconds
+            and, for a moment, the memory of the old and the new one.
         max_blocks: most blocks it may grow to; None for no limit.
 
     Raises:
@@ -108,7 +109,7 @@ class Volume:
 
     @property
     def capacity(self) -> int:
-        """Voxel blocks there is memory for."""
+        """Voxel blocks reserved."""
         return int(self._grid.hashmap().capacity())
 
     def integrate(
@@ -118,14 +119,14 @@ class Volume:
         K: Float[ndarray, "3 3"],
         world_from_camera: Float[ndarray, "4 4"],
     ) -> bool:
-        """Fuse one frame; False when it measures nothing inside the bounds and so adds nothing.
+        """Fuse one frame; False if it has no measurement inside the bounds.
 
         Args:
-            depth: z-depth, metres; 0 means no measurement. Cut and cleaned already (`depth.cleaned`).
+            depth: z-depth, metres; 0 means no measurement. Already cleaned (`depth.cleaned`).
 
         Raises:
-            ValueError: the transform is not rigid, or the images differ in size. Open3D would take either without a
-                word.
+            ValueError: the transform is not rigid, or the images differ in size. Open3D would accept both silently.
+            VolumeTooLarge: it needs more blocks than allowed.
         """
         if depth.shape != rgb.shape[:2]:
             raise ValueError(f"rgb: expected the size of the depth image {depth.shape}, got {rgb.shape[:2]}")
@@ -156,10 +157,10 @@ class Volume:
         return True
 
     def _make_room(self, blocks: o3d.core.Tensor) -> int:
-        """Grow if need be; the number of these blocks that may be integrated at once.
+        """Grow if necessary; the number of these blocks that may be integrated at once.
 
-        Open3D takes every block it is handed for a new one. When its table could not hold them all it copies the table
-        to one of twice the size, which takes seconds and three times the memory, though most of the blocks are there.
+        Open3D counts every block as new. If its table could not hold them all, it copies the table to one of twice the
+        size, which takes seconds and three times the memory, although most of the blocks exist.
         """
         table = self._grid.hashmap()
         n_most = table.capacity() if self.max_blocks is None else min(table.capacity(), self.max_blocks)
@@ -175,17 +176,17 @@ class Volume:
         return int(table.capacity()) - n_needed
 
     def views_needed(self, min_views: int, least_views: int = 1) -> int:
-        """Frames that must have measured a voxel for it to be surface; see `mesh`."""
+        """Number of frames that must have measured a voxel of the surface; see `mesh`."""
         return min(max(min_views, least_views), max(least_views, self.n_integrated // 10))
 
     def mesh(self, min_views: int = 3, least_views: int = 1, release: bool = False) -> Mesh:
-        """The surface, cut to the bounds. Empty when nothing was fused.
+        """The surface inside the bounds; empty when nothing was fused.
 
         Args:
-            min_views: frames that must have measured a voxel, where there are ten times as many; of fewer frames a
-                tenth must, so that few views give a surface.
-            least_views: and never fewer than this. What a single frame with a wrong pose shows needs 2 to be gone.
-            release: empty the volume as soon as the surface is out of it, to hold no more memory than needed.
+            min_views: frames that must have measured a voxel; at most a tenth of all frames, so that few views give a
+                surface, too.
+            least_views: lower bound on that. With 2, what a single frame with a wrong pose shows is removed.
+            release: empty the volume after extraction, to free its memory.
         """
         if self.n_blocks == 0:
             return canonical(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 3)))
@@ -206,15 +207,15 @@ class Volume:
 
 
 def canonical(vertices: Float[ndarray, "n 3"], triangles: Int[ndarray, "m 3"], colors: Float[ndarray, "n 3"]) -> Mesh:
-    """The same surface in an order that depends on nothing but itself: Open3D's depends on its threads.
+    """The same surface in an order that depends on the surface alone; Open3D's depends on its threads.
 
-    Vertices at one place become one, triangles without area by that and vertices of no triangle go; the rest is
-    sorted, and a triangle begins with its lowest vertex, its winding kept.
+    Vertices at one position are merged; triangles that lose their area by that and vertices of no triangle are removed;
+    the rest is sorted, and a triangle begins with its lowest vertex, its winding kept.
 
     Args:
         colors: 0 to 1.
     """
-    vertices = vertices.astype(np.float32) + np.float32(0)  # Adding zero makes -0.0 into 0.0, which has other bytes.
+    vertices = vertices.astype(np.float32) + np.float32(0)  # Adding zero turns -0.0 into 0.0, which has other bytes.
     colors = np.clip(np.rint(colors * 255), 0, 255).astype(np.uint8)
     order = np.lexsort((*colors.T[::-1], *vertices.T[::-1]))
     same_as_last = (np.diff(vertices[order], axis=0, prepend=np.nan) == 0).all(axis=1)
@@ -237,7 +238,10 @@ def distinct_views(
 ) -> Int[ndarray, "kept"]:
     """Frames in order, each of which moved `min_distance` metres or turned `min_angle` radians since the last one kept.
 
-    A limit of 0 does not count; with both 0 every frame is kept.
+    A limit of 0 is ignored; with both 0 every frame is kept.
+
+    Raises:
+        ValueError: a limit is negative.
     """
     if min_distance < 0 or min_angle < 0:
         raise ValueError(f"view change: expected limits >= 0, got {min_distance} m and {min_angle} rad")
@@ -259,7 +263,7 @@ def touched_blocks(
     voxel_size: float,
     truncation_voxels: float = 5.0,
 ) -> Int32[ndarray, "n 3"]:
-    """The voxel blocks that fusing a frame would fill, without fusing it."""
+    """The voxel blocks that fusing a frame would touch."""
     view = _View.of(depth, K, world_from_camera, voxel_size)
     if view is None:
         return np.zeros((0, 3), np.int32)
@@ -269,21 +273,20 @@ def touched_blocks(
 def blocks_inside(
     blocks: Int32[ndarray, "n 3"], voxel_size: float, bounds: Float[ndarray, "2 3"]
 ) -> Bool[ndarray, "n"]:
-    """Blocks that share some volume with the bounds, and one voxel around them, which the surface at the bounds is
-    made from."""
+    """Blocks that intersect the bounds, widened by the one voxel that the surface at the bounds depends on."""
     lowest = (blocks * BLOCK_RESOLUTION + HALF_VOXEL) * voxel_size
     highest = lowest + BLOCK_RESOLUTION * voxel_size
     return ((highest > bounds[0] - voxel_size) & (lowest < bounds[1] + voxel_size)).all(axis=1)
 
 
 def expected_blocks(touched: Sequence[Int32[ndarray, "_ 3"]], n_frames: int) -> int:
-    """Voxel blocks that `n_frames` frames will fill, estimated from those that some of them touch.
+    """Number of voxel blocks that `n_frames` frames will touch, estimated from a sample of them.
 
-    Where every frame was looked at it is their number. The others add what the looked-at ones seldom saw: many blocks
-    seen once and few seen twice mean that many were not seen at all.
+    If the sample is all frames, it is the number of their blocks. Otherwise, many blocks seen once and few seen twice
+    mean that many were not seen at all.
 
     Args:
-        touched: blocks of each frame looked at (`touched_blocks`), inside the bounds.
+        touched: blocks of each frame of the sample (`touched_blocks`), inside the bounds.
 
     Source: Chao et al. 2014, Ecological Monographs 84(1), extrapolation of incidence data from the Chao2 estimate.
     """
@@ -300,9 +303,9 @@ def expected_blocks(touched: Sequence[Int32[ndarray, "_ 3"]], n_frames: int) -> 
 
 
 def coarsening(blocks: Int32[ndarray, "n 3"], factor: float, truncation_voxels: float = 5.0) -> float:
-    """Blocks that voxels `factor` times as large would need, as a share of these.
+    """Number of blocks with voxels `factor` times as large, as a share of the number of these.
 
-    Large blocks that hold these, and more of them, because the layer along the surface gets thicker with its voxels.
+    These are the larger blocks that contain them, and more, because the layer along the surface becomes thicker.
     """
     if len(blocks) == 0:
         return 1.0
@@ -312,23 +315,23 @@ def coarsening(blocks: Int32[ndarray, "n 3"], factor: float, truncation_voxels: 
 
 
 def room_for(n_blocks: int) -> int:
-    """Size of the table in which so many blocks are expected."""
+    """Capacity to reserve for an expected number of blocks."""
     return int(np.ceil(n_blocks * ROOM)) + LEAST_ROOM
 
 
 MOST_BLOCKS = 1_000_000
-"""Beyond some 1.05 million blocks (2^31 corners of voxels) Open3D's extraction counts past its 32 bits and takes the
-process down."""
+"""Beyond some 1.05 million blocks (2^31 corners of voxels) Open3D's extraction overflows 32 bits and crashes the
+process."""
 
 
 def peak_bytes(n_blocks: int) -> int:
-    """Memory that a volume of so many blocks takes at most, mesh extraction included."""
+    """Peak memory of a volume with so many blocks, bytes, mesh extraction included."""
     return int(n_blocks * (ROOM * BLOCK_BYTES + EXTRACTION_BYTES))
 
 
 @dataclass(frozen=True)
 class _View:
-    """A frame as Open3D wants it."""
+    """A frame in Open3D's types."""
 
     depth: o3d.t.geometry.Image
     K: o3d.core.Tensor
@@ -341,7 +344,11 @@ class _View:
         world_from_camera: Float[ndarray, "4 4"],
         voxel_size: float,
     ) -> _View | None:
-        """None for a frame without any measurement, on which Open3D aborts the process."""
+        """A frame; None without any measurement, for which Open3D would abort the process.
+
+        Raises:
+            ValueError: the transform is not rigid.
+        """
         if fault := rigid_fault(world_from_camera):
             raise ValueError(f"world_from_camera: expected a rigid transform, got {fault}")
         if not (depth > 0).any():
@@ -357,13 +364,13 @@ class _View:
         )
 
     def blocks(self, grid: o3d.t.geometry.VoxelBlockGrid, truncation_voxels: float) -> o3d.core.Tensor:
-        """Coordinates (n, 3) of the blocks near the measured surface, in a grid of any content."""
+        """Coordinates (n, 3) of the blocks near the measured surface; the grid's content does not matter."""
         try:
             return grid.compute_unique_block_coordinates(
                 self.depth, self.K, self.camera_from_grid, 1.0, FARTHEST, truncation_voxels
             )
         except RuntimeError as error:
-            # Open3D looks at every fourth pixel, and takes finding no measurement there for a fault.
+            # Open3D reads every fourth pixel, and raises an error if none of these has a measurement.
             if "No block is touched" not in str(error):
                 raise
             return o3d.core.Tensor.empty((0, 3), o3d.core.int32)

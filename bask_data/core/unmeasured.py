@@ -1,4 +1,4 @@
-"""Places where something stands that no camera could measure: transparent, shiny or black."""
+"""Regions with something that no camera could measure: transparent, shiny or black."""
 
 from __future__ import annotations
 
@@ -14,37 +14,38 @@ from bask_data.core.fit import Sketch
 from bask_data.core.geometry import invert_rigid
 
 WORKSPACE_MARGIN = 0.15
-"""Metres around the workspace that are searched too: what was not measured had no say in its size."""
+"""Metres around the workspace that are searched, too, because unmeasured objects had no influence on its size. Assumes
+a tabletop. Chosen, sensitivity not measured."""
 
 N_SEARCHED_CELLS = 150_000
-"""Cells the workspace is cut into at most."""
+"""Most cells that the workspace is divided into. Chosen, sensitivity not measured."""
 
 LEAST_CELL = 0.008
-"""Metres; finer than the pixels of a sketch tells no more."""
+"""Metres. Assumes a tabletop: about the distance of a sketch's pixels there. Chosen, sensitivity not measured."""
 
 BLIND_SHARE = 0.3
-"""Of the views that look at a cell, those that measured nothing there. Two transparent containers have 0.3 to 0.6:
-stereo cameras see through glass from many sides. The shadow that a stereo camera leaves beside each object falls on a
-cell from less than a quarter of all sides."""
+"""Least share of blind views, which measured nothing, among those that look at a cell. Two transparent containers had
+0.3 to 0.6, because stereo cameras see through glass from many sides. Sensitivity not measured."""
 
 LEAST_VIEWS = 6
-"""Views that measured nothing, below which chance explains it."""
+"""Fewest blind views; fewer may be chance. Chosen, sensitivity not measured."""
 
 SPREAD = 0.8
-"""Length of the mean direction to the blind views at most. From one side all of the ray is unmeasured, wherever on it
-the object stands: 0.8 is an arc of about 130 degrees, or a half circle of views from above."""
+"""Greatest length of the mean unit vector towards the blind views. From one side, the whole ray is unmeasured wherever
+on it the object stands. Chosen, sensitivity not measured."""
 
 CORE = 0.7
-"""Cells of a region whose share of blind views is this much of its highest are its size: the rest of the hull is what
-few views could not cut away."""
+"""The box of a region holds the cells whose share of blind views is at least this much of its highest: the rest is
+space that too few views could carve. Chosen, sensitivity not measured."""
 
 LEAST_VOLUME = 6e-5
-"""Cubic metres of a region worth a word: a cube of 4 cm."""
+"""Smallest region to report, cubic metres: a cube of 4 cm. Assumes a tabletop. Chosen, sensitivity not measured."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """A region that no camera measured: centre and size of its box along the world's axes, metres."""
+    """A region that no camera measured: centre and size of its axis-aligned box, world frame, metres, and its volume,
+    cubic metres."""
 
     centre: tuple[float, float, float]
     size: tuple[float, float, float]
@@ -53,7 +54,7 @@ class Region:
 
 @dataclass(frozen=True)
 class SketchedView:
-    """A frame's sketch, its camera, and the depth of the mesh (infinity: none) along the sketch's rays."""
+    """A frame's sketch, its camera, and the z-depth of the mesh along the sketch's rays, metres (infinity: none)."""
 
     sketch: Sketch
     K: Float[ndarray, "3 3"]
@@ -62,12 +63,15 @@ class SketchedView:
 
 
 def unmeasured_regions(views: Sequence[SketchedView], bounds: Float[ndarray, "2 3"]) -> list[Region]:
-    """Regions that many cameras looked at from many sides without a measurement, largest first.
+    """Regions that many views from many sides looked at without a measurement, largest first.
 
-    Each cell of the workspace is looked up in every view. Hidden by the mesh, it learns nothing; a measurement on or
-    behind it says surface or free; a hole in the measurement, with nothing known to be in front, makes the view blind
-    for the cell. A hole that is open to the side of the image is background out of range, and says nothing. What is
-    nearer to a camera than anything that was measured may just be too near for the sensor.
+    Each cell of the workspace is projected into every view. If the mesh hides it, the view is ignored; a measurement on
+    or behind it shows a surface or free space; a hole in the measurements, with nothing known in front, makes the view
+    blind for the cell. A hole that extends to the image's border is background out of range, and ignored; so are cells
+    nearer to a camera than anything measured, which may be too near for the sensor.
+
+    Args:
+        bounds: (2, 3) lowest and highest corner of the workspace, world frame, metres.
     """
     nearest = min((_nearest(view.sketch.depth) for view in views), default=np.inf)
     lowest, cell, shape = _cells(bounds + np.array([[-WORKSPACE_MARGIN], [WORKSPACE_MARGIN]]))
@@ -88,7 +92,7 @@ def unmeasured_regions(views: Sequence[SketchedView], bounds: Float[ndarray, "2 
 
 
 def _cells(bounds: Float[ndarray, "2 3"]) -> tuple[Float[ndarray, "3"], float, tuple[int, int, int]]:
-    """Lowest corner, edge and numbers of the cells that fill the bounds."""
+    """Lowest corner, edge and numbers of the cells that divide the bounds."""
     size = bounds[1] - bounds[0]
     cell = max(LEAST_CELL, float(np.prod(size) / N_SEARCHED_CELLS) ** (1 / 3))
     nx, ny, nz = (max(1, int(n)) for n in np.ceil(size / cell))
@@ -96,13 +100,13 @@ def _cells(bounds: Float[ndarray, "2 3"]) -> tuple[Float[ndarray, "3"], float, t
 
 
 def _nearest(depth: Float32[ndarray, "rows columns"]) -> float:
-    """The depth below which hardly anything was measured."""
+    """The first percentile of the measured depths; infinity without any."""
     measured = depth[depth > 0]
     return float(np.percentile(measured, 1)) if len(measured) else np.inf
 
 
 def _holes(sketch: Sketch) -> Bool[ndarray, "rows columns"]:
-    """Blocks that are mostly unmeasured, in the midst of measured ones."""
+    """Blocks that are mostly unmeasured, in connected parts that do not touch the image's border."""
     labels, n = ndimage.label(sketch.measured < 128)
     closed = np.ones(n + 1, bool)
     closed[0] = False
@@ -114,8 +118,8 @@ def _holes(sketch: Sketch) -> Bool[ndarray, "rows columns"]:
 def _look(
     points_world: Float32[ndarray, "n 3"], view: SketchedView, nearest: float, tolerance: float
 ) -> tuple[Bool[ndarray, "n"], Bool[ndarray, "n"]]:
-    """Whether the view tells something of each point, and whether what it tells is that nothing was measured."""
-    # Sums of columns: a product of matrices this thin sends BLAS into threads that wait for each other.
+    """Whether the view looks at each point, and whether it is blind there."""
+    # Sums of columns: for matrices this thin, BLAS would start threads that wait for each other.
     image_from_world = (view.K @ invert_rigid(view.world_from_camera)[:3]).astype(np.float32)
     across, down, z = (
         a * points_world[:, 0] + b * points_world[:, 1] + c * points_world[:, 2] + d for a, b, c, d in image_from_world
@@ -132,13 +136,13 @@ def _look(
     depth = view.sketch.depth[at]
     blind, looked = np.zeros((2, len(points_world)), bool)
     blind[i] = ~hidden & hole
-    # A block that is measured but for the pixel in its middle tells no depth; one measured nearer hides the cell.
+    # A measured block without depth at its central pixel is ignored; a measurement in front hides the cell.
     looked[i] = ~hidden & (hole | (depth >= z[i] - tolerance))
     return looked, blind
 
 
 def _regions(blind_share: Float[ndarray, "x y z"], lowest: Float[ndarray, "3"], cell: float) -> list[Region]:
-    """Connected cells as boxes around the most blind of them, largest first, without the small ones.
+    """Connected cells as boxes around their cores (`CORE`), largest first, without the small ones.
 
     Args:
         blind_share: 0 where a cell does not count.

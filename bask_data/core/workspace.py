@@ -1,4 +1,4 @@
-"""Where a scan's cameras look: the box worth reconstructing, from a few points of a few frames."""
+"""Estimation of a scan's workspace from a few points of a few frames."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def sampled_points(
     world_from_camera: Float[ndarray, "4 4"],
     n_points: int = 5000,
 ) -> Float[ndarray, "n 3"]:
-    """About `n_points` measured points of a frame, world frame, evenly over those it has (sensors that measure every
-    other pixel are no different)."""
+    """About `n_points` measured points of a frame, world frame, evenly over its measured pixels, also of sensors that
+    measure every other pixel only."""
     v, u = np.nonzero(depth)
     step = max(1, len(v) // n_points)
     v, u = v[::step], u[::step]
@@ -29,15 +29,16 @@ def sampled_points(
 def estimated_workspace(
     clouds_world: Iterable[Float[ndarray, "_ 3"]], cell: float = 0.05, min_share: float = 0.2, margin: float = 0.02
 ) -> Float[ndarray, "2 3"] | None:
-    """The box around what the frames agree on; None when they measured nothing.
+    """The box (2, 3) around what several frames see, lowest and highest corner, world frame, metres; None without any
+    measurement.
 
-    Space is cut into cells; a cell counts when at least two frames and `min_share` of all frames measured a point in
-    it, so that a glance at a far wall does not. The box holds 99 % of the points in such cells on every axis. When no
-    cells are shared, all points count.
+    Space is divided into cells; a cell counts when at least two frames and `min_share` of all frames measured a point
+    in it, which excludes a far wall that few frames see. On every axis, the box holds 99 % of the points in such cells.
+    When no cells are shared, all points count.
 
     Args:
         clouds_world: points of each frame, metres (`sampled_points`).
-        cell: edge of a cell, metres.
+        cell: edge of a cell, metres; the default assumes a tabletop, as does that of `margin`.
         margin: metres added on each side.
     """
     clouds = [cloud for cloud in clouds_world if len(cloud)]
