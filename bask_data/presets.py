@@ -41,7 +41,7 @@ _BASK: dict[str, Any] = {
 }
 
 PRESETS: dict[PresetName, dict[str, dict[str, Any]]] = {
-    # The defaults of the parameters themselves.
+    # The parameters' own defaults.
     "tabletop": {},
     # Eq. 1 applies the hinge to the squared distance; III-A.3: several scales, full rotation, crops of random size down
     # to half of the image, padded with blank pixels.

@@ -26,15 +26,15 @@ COMMANDS = (
         ("run", "pipeline", "Make everything that is missing or stale, in order."),
         ("status", "pipeline", "Show what is up to date and what is not, and why."),
         ("reconstruct", "stages", "Fuse a scan's depth images into a triangle mesh."),
-        ("objects", "stages", "Split the surface into the objects on its support and the background."),
-        ("masks", "stages", "Project the objects into every frame, hidden parts left out."),
+        ("objects", "stages", "Split the surface into the objects on the support plane and the background."),
+        ("masks", "stages", "Project the objects into every frame, without hidden parts."),
         (
             "correspondences",
             "stages",
             "Match pixels of the objects between pairs of frames that see them from different places.",
         ),
         ("train", "stages", "Train a Dense Object Net on the matches of all scans."),
-        ("reference", "stages", "Choose reference keypoints and keep their descriptors."),
+        ("reference", "stages", "Choose reference keypoints and store their descriptors."),
         ("encode", "stages", "Track the reference keypoints through a demonstration, in 3D."),
     ),
     *under(

@@ -1,4 +1,4 @@
-"""Pixels of two views that show the same point."""
+"""Matches: pixels of two views that show the same point."""
 
 from __future__ import annotations
 
@@ -24,35 +24,37 @@ if TYPE_CHECKING:
     from bask_data.core.visibility.surface import Surface
 
 N_SURFACE_POINTS = 512
-"""Points on the objects by which the overlap of two frames is judged."""
+"""Points on the objects by which the overlap of two frames is estimated. Chosen, sensitivity not measured."""
 LEAST_TOLERANCE = (0.005, 0.01)
-"""(a, b): depths agree within a + b z metres on a quiet sensor: voxels and poses are not better than that."""
+"""(a, b): depths agree within a + b z metres even on an exact sensor, for the errors of voxels and poses. Assumes a
+tabletop. Chosen, sensitivity not measured."""
 MATCH_NOISE_SIGMAS = 2.5
-"""Standard deviations of the sensor's noise within which depths agree."""
+"""Standard deviations of the sensor's noise within which depths agree. Chosen; its sensitivity is in
+docs/benchmarks.md."""
 FAR = 10.0
-"""Depth above this counts as not measured, metres."""
+"""Metres above which depth counts as not measured."""
 BYTES_KEPT = 128 * 2**20
-"""Of prepared frames that stay in memory for the next pairs; these come sorted by their first frame."""
+"""Memory for prepared frames that later pairs need again; pairs are sorted by their first frame."""
 BYTES_PER_PIXEL = 10
-"""Of a prepared frame: depth, pixels by object, two label images."""
+"""Memory of a prepared frame: depth, pixels by object, two label images."""
 FEW = 0.25
-"""An object with a smaller share of the matches asked for is told of."""
+"""Share of the wanted matches below which an object gets a warning. Chosen."""
 
 
 class CorrespondencesParams(Params):
-    """What changes the matches."""
+    """Parameters of the matches."""
 
-    n_pairs: int = Field(200, ge=1, description="Pairs of frames, at most.")
-    n_matches: int = Field(1000, ge=1, description="Matches per pair, at most, balanced over the objects.")
+    n_pairs: int = Field(200, ge=1, description="Most pairs of frames.")
+    n_matches: int = Field(1000, ge=1, description="Most matches per pair, balanced over the objects.")
     n_attempts: int = Field(4000, ge=1, description="Pixels tried per pair.")
     min_distance: float = Field(
-        0.2, ge=0, description="Cameras of a pair are so far apart, metres, or see --min-angle-deg."
+        0.2, ge=0, description="Least distance of a pair's cameras, metres; --min-angle-deg is enough instead."
     )
     min_angle_deg: float = Field(
-        20.0, ge=0, description="Cameras of a pair differ by so much, degrees, or see --min-distance."
+        20.0, ge=0, description="Least angle between a pair's cameras, degrees; --min-distance is enough instead."
     )
     min_overlap: float = Field(
-        0.15, ge=0, le=1, description="Share of the objects' surface seen by either frame that both must see."
+        0.15, ge=0, le=1, description="Least share of the objects' surface seen by either frame that both see."
     )
     tolerance: float | None = Field(
         None,
@@ -66,11 +68,13 @@ class CorrespondencesParams(Params):
         description="Part of that tolerance that grows with depth, metres per metre. "
         "Default: 0.01, more on a noisy sensor.",
     )
-    max_cycle: float = Field(0.7, ge=0, description="A match leads back to within so many pixels.")
+    max_cycle: float = Field(
+        0.7, ge=0, description="Greatest error, pixels, of a match projected to the other view and back."
+    )
     margin: int = Field(2, ge=0, description="Pixels to stay away from the edge of a mask.")
     use_surface: bool = Field(
         True,
-        description="Take depth from the reconstruction, held against the measured one; else the measured one alone.",
+        description="Take depth from the reconstruction, checked against measured depth; else measured depth alone.",
     )
     seed: int = Field(0, ge=0, description="Seed of the random choices.")
 
@@ -86,8 +90,8 @@ def correspondences(
 ) -> None:
     """Match pixels of the objects between pairs of frames that see them from different places.
 
-    A match must land in the image, unhidden by what the surface and the measured depth show, on the same object, and
-    lead back to where it came from. Rejections are counted by reason.
+    A match must lie in the image, not be hidden by the surface or the measured depth, be on the same object, and lead
+    back to its first pixel. Rejections are counted by reason.
     """
     import numpy as np
 
@@ -141,7 +145,7 @@ def correspondences(
 
 @dataclass
 class Tally:
-    """What became of each object over all pairs, to tell where matches are missing and why."""
+    """Counts of each object over all pairs, to report where matches are missing and why."""
 
     n_pairs: int = 0
     n_empty: int = 0
@@ -150,7 +154,7 @@ class Tally:
     rejected: Counter[tuple[int, str]] = field(default_factory=Counter)
 
     def add(self, matches: Matches, n_matches: int) -> None:
-        """Count a pair, of which `n_matches` were asked for."""
+        """Count a pair for which `n_matches` were wanted."""
         from bask_data.core.correspondences.search import REJECTIONS
 
         self.n_pairs += 1
@@ -162,7 +166,7 @@ class Tally:
                 self.rejected[instance, why] += n
 
     def warnings(self, n_instances: int) -> list[str]:
-        """Pairs without a match, objects without or with few."""
+        """Warnings of pairs without matches, and of objects with few or none."""
         if not self.n_pairs:
             return []
         said = []
@@ -185,7 +189,7 @@ class Tally:
 
 
 def n_kept(scan: Scan) -> int:
-    """How many prepared frames may stay in memory, two at least: those of a pair."""
+    """Number of prepared frames kept in memory, at least the two of a pair."""
     largest = max((camera.height * camera.width for camera in scan.cameras), default=1)
     return max(2, BYTES_KEPT // (BYTES_PER_PIXEL * largest))
 
@@ -212,7 +216,7 @@ def _choose(
     params: CorrespondencesParams,
     rng: np.random.Generator,
 ) -> FramePairs:
-    """The pairs of frames to match, judged by points on the objects; no frame is read for it."""
+    """The pairs of frames to match, by points on the objects; no frame is read."""
     import numpy as np
 
     from bask_data.core.correspondences.frame_pairs import choose_pairs, seen
@@ -232,8 +236,8 @@ def _choose(
         if len(drawn) and surface is not None:
             for row, world_from_camera in zip(shown, camera.world_from_cameras, strict=True):
                 row[row] = unhidden(surface, points[row], world_from_camera)
-            # What is no part of the surface, as a hand, hides objects too. NaN, no projection at all, is not greater
-            # than zero either.
+            # Occluders that are no part of the surface, such as a hand, count by the masks. NaN, no projection at all,
+            # is not greater than zero, either.
             shown &= masks.camera(camera.name).visible_fraction[:, instance - 1] > 0
         is_seen.append(shown)
     return choose_pairs(
@@ -249,15 +253,15 @@ def _choose(
 
 
 def _tolerance(masks: VisibleMasks, params: CorrespondencesParams) -> tuple[float, float]:
-    """(a, b): depths agree within a + b z metres. What is not given follows the noisiest of the cameras."""
+    """(a, b): depths agree within a + b z metres; by default from the noise of the noisiest camera."""
     noise = masks.metadata.noise.values()
-    found = [
-        max(least, *(MATCH_NOISE_SIGMAS * one[k] for one in noise)) if noise else least
+    default = [
+        max(least, *(MATCH_NOISE_SIGMAS * sigma[k] for sigma in noise)) if noise else least
         for k, least in enumerate(LEAST_TOLERANCE)
     ]
     return (
-        found[0] if params.tolerance is None else params.tolerance,
-        found[1] if params.tolerance_per_metre is None else params.tolerance_per_metre,
+        default[0] if params.tolerance is None else params.tolerance,
+        default[1] if params.tolerance_per_metre is None else params.tolerance_per_metre,
     )
 
 
@@ -273,8 +277,8 @@ def _view(
     from bask_data.core.correspondences.matchable import matchable_view
 
     measured = depth.in_range(camera.depth(i_frame), 0.0, FAR)
-    # Flying pixels go, but gaps are not filled as for fusion: a mean of neighbours is off at every edge of an object.
-    # Nor does the surface fill them: where a measurement was thrown away, either of the two may be wrong.
+    # Flying pixels are removed, but gaps are not filled as for fusion: at an object's edge, a mean of neighbours is
+    # wrong. Nor does the surface fill them: where a measurement was removed, either of the two may be wrong.
     flying = depth.flying(measured)
     measured[flying] = 0
     return matchable_view(

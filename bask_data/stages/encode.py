@@ -1,4 +1,4 @@
-"""Keypoints of a demonstration."""
+"""Keypoint tracks of a demonstration."""
 
 from __future__ import annotations
 
@@ -35,28 +35,28 @@ A = TypeVar("A")
 B = TypeVar("B")
 
 STATE = "state.safetensors"
-"""What an interrupted track goes on from; no part of the artifact."""
+"""State that an interrupted track is resumed from; no part of the artifact."""
 
 MOST_CELLS = 4096
-"""Rows or columns of a belief: more than any image has."""
+"""Most rows or columns of a belief: more than a usual image has."""
 
 AHEAD = 2
-"""Frames read before they are described, and described before they are filtered: enough for all threads to be busy, few
-enough for any size of image."""
+"""Frames that are read ahead of the network, and described ahead of the filter: enough to keep all threads busy, few
+enough for images of any size. Chosen, sensitivity not measured."""
 
 
 class EncodeParams(Params):
-    """Where keypoints come from, the filter and its settings.
+    """Source of the keypoints, the filter and its settings.
 
-    A field of the name of a filter's setting is that setting; it does not matter to a filter that has none of the name.
-    A field that is added for a further filter is None by default and left out of the dump while it is (pydantic's
-    `exclude_if`): the skip keys of all tracks made without it stay as they are.
+    A field named like a setting of the filter is that setting; other filters ignore it. A field added for a further
+    filter is None by default and excluded from the dump while it is (pydantic's `exclude_if`), so that the skip keys of
+    tracks made without it stay the same.
     """
 
     source: Literal["network", "truth"] = Field(
         "network",
-        description="network: found by descriptors. truth: where a simulator, or whoever labelled the recordings, "
-        "knows them to be; no filter is used.",
+        description="network: found by descriptors. truth: ground truth of a simulator or of labels; no filter is "
+        "used.",
     )
     cameras: tuple[str, ...] = Field((), description="Cameras to use. Default: all of the demonstration.")
     filter: FilterName = Field(
@@ -64,15 +64,15 @@ class EncodeParams(Params):
     )
     settings: SettingsName = Field(
         "default",
-        description="Values of all of the filter's settings: our own, the paper's, or those of its authors' code. The "
+        description="The filter's settings: our own, the paper's, or those of its authors' code. The "
         "options below take precedence.",
     )
     alpha: float | None = Field(
         None,
         gt=0,
         description="Temperature: a pixel at descriptor distance z has likelihood exp(-alpha z). "
-        "Default: 4; particle: 2, because frames err together; expectation: 20, because the many pixels of background "
-        "outweigh the match at less.",
+        "Default: 4; particle: 2, because errors of successive frames are correlated; expectation: 20, because with "
+        "less the many pixels of background outweigh the match.",
     )
     tau: float | None = Field(
         None,
@@ -86,8 +86,8 @@ class EncodeParams(Params):
         None,
         ge=0,
         le=1,
-        description="Particle: without tau, at least this share of how well the track has matched. Default: 0.03; "
-        "descriptors whose distances are all alike want 0.1 to 0.25.",
+        description="Particle: without tau, at least this share of the track's average match. Default: 0.03; 0.1 to "
+        "0.25 is better for descriptors whose distances are all similar.",
     )
     walk: float | None = Field(
         None, ge=0, description="Particle: random walk in one frame and along each axis, metres. Default: 0.002."
@@ -96,13 +96,15 @@ class EncodeParams(Params):
         None, ge=0, description="Discrete: random walk in one frame, pixels of the distance map. Default: 1."
     )
     grid: tuple[int, ...] = Field(
-        (), description="Discrete: rows and columns of the belief, by a comma. Default: those of the distance map."
+        (),
+        description="Discrete: rows and columns of the belief, separated by a comma. Default: those of the distance "
+        "map.",
     )
     gripper_probability: float | None = Field(
         None,
         ge=0,
         le=1,
-        description="Probability that what is near the gripper moves with it. Default: 0.2; discrete: 0.35.",
+        description="Probability that a keypoint near the gripper moves with it. Default: 0.2; discrete: 0.35.",
     )
     gripper_reach: float | None = Field(
         None,
@@ -113,9 +115,9 @@ class EncodeParams(Params):
         0.0,
         ge=0,
         lt=1,
-        description="Probability that a camera's frame is not looked at, to see how well keypoints survive without.",
+        description="Probability that a camera's frame is ignored, to test how robust tracks are to missing frames.",
     )
-    seed: int = Field(0, ge=0, description="Seed of the particle filter, and of the dropout.")
+    seed: int = Field(0, ge=0, description="Seed of the particle filter and of the dropout.")
 
     @field_validator("grid")
     @classmethod
@@ -125,7 +127,7 @@ class EncodeParams(Params):
         return grid
 
     def reads(self, kind: str) -> tuple[str, ...] | None:
-        """Truth only where it is asked for."""
+        """Ground truth only if it is the source."""
         return () if kind == Truth.kind and self.source == "network" else None
 
 
@@ -140,8 +142,8 @@ def encode(
 ) -> None:
     """Track the reference keypoints through a demonstration, in 3D.
 
-    All cameras of the demonstration are used; their frames belong together by number. A few frames are in memory at a
-    time, and an interrupted track goes on where it was.
+    All cameras of the demonstration are used; frames with the same number belong together. Only a few frames are in
+    memory at a time, and an interrupted track is resumed.
     """
     try:
         cameras = cameras_of(demonstration, params.cameras)
@@ -156,7 +158,7 @@ def encode(
 
 
 def cameras_of(demonstration: Demonstration, wanted: tuple[str, ...] = ()) -> list[Camera]:
-    """The cameras by name, all or those wanted, which must have frames that belong together.
+    """The cameras by name, all or those wanted.
 
     Raises:
         UsageError: there is no such camera.
@@ -182,7 +184,7 @@ def cameras_of(demonstration: Demonstration, wanted: tuple[str, ...] = ()) -> li
 
 
 def settings_of(params: EncodeParams) -> FilterSettings:
-    """The settings of the chosen filter; those of the others do not matter."""
+    """The settings of the chosen filter; those of the others are ignored."""
     names = {field.name for field in fields(filter_named(params.filter).settings)}
     # An option that takes several values has none of them where it was not given.
     given = {name: None if value == () else value for name, value in params.model_dump().items() if name in names}
@@ -190,10 +192,10 @@ def settings_of(params: EncodeParams) -> FilterSettings:
 
 
 def grippers_of(demonstration: Demonstration, n_frames: int) -> np.ndarray | None:
-    """World from gripper (t, 4, 4) in each frame; None without a record of it.
+    """`world_from_gripper` (t, 4, 4) in each frame; None if it was not recorded.
 
     Raises:
-        BadData: there is not one for each frame.
+        BadData: their number differs from the number of frames.
     """
     robot = demonstration.robot
     if robot is None or robot.world_from_gripper is None:
@@ -210,7 +212,7 @@ def grippers_of(demonstration: Demonstration, n_frames: int) -> np.ndarray | Non
 
 
 def dropped(n_frames: int, n_cameras: int, dropout: float, seed: int) -> np.ndarray:
-    """Which frames of which cameras are not looked at (t, c) bool."""
+    """Frames of each camera to ignore, (t, c) bool."""
     import numpy as np
 
     return np.random.default_rng((seed, 1)).random((n_frames, n_cameras)) < dropout
@@ -244,8 +246,9 @@ def _track(
             if _append(writer, names, tracker.update(tracker.look(*moment, described), gripper)):
                 tracker.save(out / STATE)
 
-        # The network is what takes long. It has this thread to itself: one reads ahead of it, another one follows. Both
-        # end here, whatever fails: ended by the garbage collector, on a thread they need, they would wait for ever.
+        # The network takes most of the time and has this thread to itself: a second thread reads ahead, a third one
+        # filters. Both are closed here in any case: closed by the garbage collector, on a thread that they need, they
+        # would deadlock.
         with (
             closing(_described(tracker, cameras, shown, begin)) as described,
             closing(_beside(track, described)) as tracked,
@@ -258,12 +261,12 @@ def _track(
 
 
 def _resumed(tracker: KeypointTracker, out: Path) -> int:
-    """Frames that an interrupted attempt has tracked; whatever else it left goes."""
+    """Number of frames that an interrupted attempt has tracked; everything else of it is removed."""
     try:
         if (out / STATE).exists():
             tracker.load(out / STATE)
     except BadData:
-        tracker.reset()  # A disk that lost it: all it costs is time.
+        tracker.reset()  # A damaged state costs time only.
     if tracker.n_steps:
         for part in (*out.glob("*.part"), *out.rglob("*.partial")):
             part.unlink()
@@ -273,13 +276,13 @@ def _resumed(tracker: KeypointTracker, out: Path) -> int:
 
 
 def _clear(out: Path) -> None:
-    """Take away what an interrupted attempt left."""
+    """Remove everything that an interrupted attempt left."""
     for left in out.iterdir():
         shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
 def _append(writer: KeypointsWriter, cameras: list[str], found: TrackedKeypoints) -> bool:
-    """Write a frame; whether all so far are on disk."""
+    """Write a frame; True if all frames so far are on disk."""
     return writer.append(
         mean=found.mean,
         covariance=found.covariance,
@@ -293,7 +296,7 @@ def _append(writer: KeypointsWriter, cameras: list[str], found: TrackedKeypoints
 def _described(
     tracker: KeypointTracker, cameras: list[Camera], shown: np.ndarray, begin: int
 ) -> Generator[tuple[Moment, Described], None, None]:
-    """What the cameras that are looked at show in each frame from `begin` on, and its descriptors."""
+    """Images and descriptors of each frame from `begin` on, of the cameras that are not ignored."""
     from bask_data.tracker import moment_of
 
     def read(i_frame: int) -> Moment:
@@ -305,8 +308,8 @@ def _described(
 
 
 def _beside(function: Callable[[A], B], items: Iterable[A]) -> Generator[B, None, None]:
-    """What a function gives for each item, in order, computed by a thread of its own: it may be a few items ahead of
-    whoever takes them, and behind whoever gives them. After one that fails it takes no other."""
+    """Results of a function for each item, in order, computed by a thread of its own, up to `AHEAD` items ahead of the
+    consumer. It ends at the first exception."""
     waiting: deque[Future[B]] = deque()
 
     def in_turn(item: A, before: Future[B] | None) -> B:
@@ -336,7 +339,7 @@ def _write_truth(
     truths: Mapping[str, Truth],
     out: Path,
 ) -> None:
-    """Write where the keypoints truly are."""
+    """Write the true positions of the keypoints as a track."""
     import numpy as np
 
     from bask_data.kinds.places import Known, true_pixels, true_places

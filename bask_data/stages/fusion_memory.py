@@ -1,4 +1,4 @@
-"""The memory that a fusion will take, and a refusal that names what would fit."""
+"""The memory that a fusion needs, and an error that names what would fit."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
     import numpy as np
 
 WORKING_BYTES = 100 * 2**20
-"""What reading and preparing one frame takes on top of the volume."""
+"""Memory to read and prepare one frame, besides the volume. Chosen."""
 
 USED_SHARE = 0.8
-"""Of the memory that is free, unless `max_memory` says otherwise."""
+"""Share of the free memory to use, unless `max_memory` is given. Chosen."""
 
 
 def amount_of_memory(given: object) -> str:
-    """An amount as `memory_limit` reads it: 4GB, 800MB, or empty.
+    """An amount of memory in the form that `memory_limit` reads: 4GB, 800MB, or empty.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is not an amount of memory.
     """
     text = str(given).strip().upper()
     if not re.fullmatch(r"(\d+(\.\d+)?\s*([MG]B)?)?", text):
@@ -34,14 +34,14 @@ def amount_of_memory(given: object) -> str:
 
 @dataclass(frozen=True)
 class Survey:
-    """What a first look at some frames tells.
+    """Estimates from a sample of the frames, before fusion.
 
     Attributes:
         bounds: (2, 3) lowest and highest corner of the workspace, world frame, metres.
-        blocks: (b, 3) voxel blocks that the frames looked at touch.
-        n_blocks: how many all frames will.
+        blocks: (b, 3) voxel blocks that the sample touches.
+        n_blocks: estimated number of blocks that all frames touch.
         voxel_size: metres.
-        truncation: voxels kept on both sides of a surface.
+        truncation: distance around a surface in which the TSDF is kept, voxels.
     """
 
     bounds: np.ndarray
@@ -52,7 +52,11 @@ class Survey:
 
 
 def most_blocks(survey: Survey, max_memory: str) -> int:
-    """Voxel blocks that fit into the memory allowed; refuses when fewer than are expected."""
+    """Number of voxel blocks that fit into the allowed memory.
+
+    Raises:
+        UsageError: fewer than the survey expects.
+    """
     from bask_data.core import tsdf
 
     begun, limit = resident_bytes(), memory_limit(max_memory)
@@ -63,7 +67,12 @@ def most_blocks(survey: Survey, max_memory: str) -> int:
 
 
 def too_large(n_blocks: int, begun: int, limit: int, survey: Survey) -> UsageError:
-    """The refusal, and what would fit."""
+    """The error, and what would fit.
+
+    Args:
+        n_blocks: needed.
+        begun, limit: bytes that the process held before, and may hold.
+    """
     from bask_data.core import tsdf
 
     needed = begun + WORKING_BYTES + tsdf.peak_bytes(n_blocks)
@@ -91,7 +100,8 @@ def too_large(n_blocks: int, begun: int, limit: int, survey: Survey) -> UsageErr
 
 
 def _voxel_size_that_fits(n_blocks: int, n_bytes: int, survey: Survey) -> float | None:
-    """The smallest, of steps of a tenth, that takes 10 % less than so much memory; None if not ten times as large."""
+    """The smallest voxel size, in steps of a tenth, that needs 10 % less than so much memory; None if even voxels
+    nearly ten times as large do not fit."""
     from bask_data.core import tsdf
 
     for factor in (1.1**k for k in range(1, 25)):
@@ -102,7 +112,8 @@ def _voxel_size_that_fits(n_blocks: int, n_bytes: int, survey: Survey) -> float 
 
 
 def memory_limit(text: str) -> int:
-    """Bytes: as given, in GB where no unit is, or a share of what the machine has free and this process holds."""
+    """Bytes that this process may hold: as given, in GB without unit, or by default what it holds and a share of the
+    free memory."""
     match = re.fullmatch(r"([\d.]+)\s*([MG]B)?", text)
     if match:
         return int(float(match[1]) * (1e6 if match[2] == "MB" else 1e9))
@@ -110,14 +121,14 @@ def memory_limit(text: str) -> int:
 
 
 def resident_bytes() -> int:
-    """What this process holds in memory."""
+    """Resident memory of this process, bytes."""
     import psutil
 
     return int(psutil.Process().memory_info().rss)
 
 
 def _free_bytes() -> int:
-    """Of the machine, or of the container, which the machine's own figures know nothing of."""
+    """Free memory of the machine, or of the container if that is less, bytes."""
     import psutil
 
     free = int(psutil.virtual_memory().available)
@@ -127,7 +138,7 @@ def _free_bytes() -> int:
         if limit != "max":
             free = min(free, int(limit) - int((group / "memory.current").read_text()))
     except (OSError, ValueError):
-        pass  # No Linux, or no container.
+        pass  # Not Linux, or not a container.
     return max(free, 0)
 
 

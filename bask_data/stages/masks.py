@@ -1,4 +1,4 @@
-"""Which object each pixel of a scan shows."""
+"""Visible masks of the objects in a scan."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     from bask_data.core.visibility.labelled import LabelledSurface
 
 N_FRAMES_SURVEYED = 16
-"""Frames a camera is looked at beforehand, to learn its noise, what is fixed to it, and what it saw through."""
+"""Frames of each camera read beforehand, to estimate its noise, what is fixed to it, and what it saw through. Chosen,
+sensitivity not measured."""
 
 
 class MasksParams(Params):
-    """What changes the masks."""
+    """Parameters of the masks."""
 
     tolerance: float | None = Field(
         None,
@@ -38,22 +39,22 @@ class MasksParams(Params):
     )
     far: float = Field(10.0, gt=0, description="Depth above this counts as not measured, metres.")
     find_fixed: bool = Field(
-        True, description="Look for pixels that show something fixed to the camera (a gripper) and keep masks off them."
+        True, description="Detect pixels that show something fixed to the camera, such as a gripper, and unmask them."
     )
     use_colour: bool = Field(
-        True, description="Keep masks off what hides an object and gives no depth, where its colour is not the mesh's."
+        True, description="Detect occluders without depth where the colour differs from the mesh's, and unmask them."
     )
     fill_holes: bool = Field(
-        True, description="Where the mesh of an object has a hole that nothing was measured through, take it for solid."
+        True, description="Fill holes in the mesh of an object where nothing was measured through them."
     )
 
 
 @stage(makes=VisibleMasks, version=2)
 def masks(scan: Scan, reconstruction: Reconstruction, objects: ObjectInstances, params: MasksParams, out: Path) -> None:
-    """Project the objects into every frame, hidden parts left out.
+    """Project the objects into every frame, without hidden parts.
 
-    A pixel belongs to the object its ray meets first, unless the measured depth shows something else in front of it
-    or the mesh wrong. Pixels without measurement follow the ray, and are marked.
+    A pixel belongs to the object that its ray meets first, unless the measured depth shows an occluder or contradicts
+    the mesh. Pixels without measurement follow the ray, and are marked.
     """
     from bask_data.core.visibility import sensor
     from bask_data.core.visibility.completion import Completion
@@ -114,8 +115,8 @@ def _tolerance(found: tuple[float, float], params: MasksParams) -> tuple[float, 
 
 
 def _measured(camera: Camera, i_frame: int, params: MasksParams) -> np.ndarray:
-    """Depth of a frame. Nothing is too near here, a gripper just before the lens is what the measurement is asked for;
-    and a flying pixel at a hand's edge still tells that the object is not seen there."""
+    """Depth of a frame, without a lower limit, because a gripper close to the lens is an occluder, too; flying pixels
+    are kept, because at a hand's edge they still show that the object is hidden."""
     from bask_data.core import depth
 
     return depth.filled(depth.in_range(camera.depth(i_frame), 0.0, params.far))
@@ -149,7 +150,7 @@ def _survey(
     tolerance: tuple[float, float],
     params: MasksParams,
 ) -> np.ndarray | None:
-    """Pixels that show something fixed to the camera; None if that is not looked for. Carves the completion."""
+    """Pixels that show something fixed to the camera; None if these are not wanted. Carves the completion."""
     from bask_data.core.visibility.fixed_to_camera import confirmed, fixed_to_camera
     from bask_data.core.visibility.surface import ray_directions
 

@@ -1,4 +1,4 @@
-"""How a mesh and the frames it was made from agree, and what a person should know of it."""
+"""Agreement of a mesh and the frames it was fused from, and warnings about it."""
 
 from __future__ import annotations
 
@@ -20,10 +20,12 @@ FrameOfCamera = tuple[Camera, int]
 """A camera and the number of one of its frames."""
 
 N_SEARCHED = 48
-"""Frames kept in finer sketches, to search for what no camera can measure."""
+"""Frames kept in finer sketches, to search for regions that no camera measured. Chosen to bound time, sensitivity not
+measured."""
 
 POOR = 0.6
-"""Share of the depth that lies on the mesh, below which all poses, or the scale of the depth, are in doubt."""
+"""Share of the depth on the mesh below which all poses, or the depth scale, are in doubt. Chosen, sensitivity not
+measured."""
 
 
 def spread_evenly(n: int, n_chosen: int) -> list[int]:
@@ -35,7 +37,7 @@ def spread_evenly(n: int, n_chosen: int) -> list[int]:
 
 @dataclass(frozen=True)
 class Note:
-    """What is kept of a frame after it was fused: a few kilobytes."""
+    """Data kept of a frame after fusion: a few kilobytes."""
 
     fused: bool
     valid_depth: float
@@ -44,7 +46,7 @@ class Note:
 
 @dataclass(frozen=True)
 class Assessment:
-    """How the mesh and the frames agree, and where no frame could measure."""
+    """Agreement of the mesh and the frames, and the regions that no frame measured."""
 
     rows: list[FrameRow]
     seen_from_behind: float
@@ -52,14 +54,14 @@ class Assessment:
 
 
 @dataclass(frozen=True)
-class Held:
-    """A mesh ready for rays, and every frame held against it."""
+class Comparison:
+    """A mesh for ray casting, and its agreement with every frame."""
 
     surface: FacedSurface
     fits: list[Fit]
 
 
-def held_against(frames: list[FrameOfCamera], notes: list[Note], mesh: Mesh, bounds: np.ndarray) -> Held:
+def compared(frames: list[FrameOfCamera], notes: list[Note], mesh: Mesh, bounds: np.ndarray) -> Comparison:
     """Every frame compared with a mesh, by the few rays of its sketch.
 
     Args:
@@ -72,18 +74,18 @@ def held_against(frames: list[FrameOfCamera], notes: list[Note], mesh: Mesh, bou
         fit.fit(note.sketch, camera.K, camera.world_from_cameras[i_frame], surface, bounds)
         for (camera, i_frame), note in zip(frames, notes, strict=True)
     ]
-    return Held(surface, fits)
+    return Comparison(surface, fits)
 
 
 def assessed(
     frames: list[FrameOfCamera],
     notes: list[Note],
-    held: Held,
+    comparison: Comparison,
     bounds: np.ndarray,
     suspects: set[tuple[str, int]],
     dropped: bool,
 ) -> Assessment:
-    """What is told of the mesh and the frames that were held against it.
+    """The report on the mesh and the frames that were compared with it.
 
     Args:
         suspects: frames that disagree with the others.
@@ -96,17 +98,17 @@ def assessed(
             fused=note.fused and not (dropped and (camera.name, i_frame) in suspects),
             suspect=(camera.name, i_frame) in suspects,
             valid_depth=note.valid_depth,
-            n_judged=one.n_judged,
-            explained=one.explained,
-            residual=one.residual,
-            residual_abs=one.residual_abs,
-            from_behind=one.from_behind,
+            n_judged=agreement.n_judged,
+            explained=agreement.explained,
+            residual=agreement.residual,
+            residual_abs=agreement.residual_abs,
+            from_behind=agreement.from_behind,
         )
-        for (camera, i_frame), note, one in zip(frames, notes, held.fits, strict=True)
+        for (camera, i_frame), note, agreement in zip(frames, notes, comparison.fits, strict=True)
     ]
-    # Asked before more rays are cast, whose hits would count.
-    from_behind = held.surface.area_from_behind
-    return Assessment(rows, from_behind, _unmeasured(frames, notes, held.surface, bounds))
+    # Read before further rays are cast, whose hits would count.
+    from_behind = comparison.surface.area_from_behind
+    return Assessment(rows, from_behind, _unmeasured(frames, notes, comparison.surface, bounds))
 
 
 def suspects_of(frames: list[FrameOfCamera], fits: list[Fit]) -> set[tuple[str, int]]:
@@ -146,7 +148,7 @@ def _unmeasured(
 
 
 def warnings_of(assessment: Assessment, near: float, far: float) -> list[str]:
-    """What a person should know, with what to do about it."""
+    """Warnings for the user, with what to do."""
     rows, warnings = assessment.rows, []
     if blind := [row for row in rows if row.valid_depth == 0]:
         warnings.append(

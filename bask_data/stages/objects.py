@@ -1,4 +1,4 @@
-"""The objects of a scene, split from what they stand on."""
+"""The objects of a scene, separated from the support and the rest of the background."""
 
 from __future__ import annotations
 
@@ -20,38 +20,41 @@ if TYPE_CHECKING:
 
 
 class ObjectsParams(Params):
-    """What changes the split."""
+    """Parameters of the split."""
 
     support: Literal["planes", "plane", "none"] = Field(
         "planes",
-        description="What is background. planes: the plane the objects stand on, and walls of bins and shelves; plane: "
-        "the former only; none: nothing, all in the workspace is objects.",
+        description="The background. planes: the support plane and the walls of bins and shelves; plane: the support "
+        "plane only; none: nothing, everything in the workspace is objects.",
     )
     plane: tuple[float, float, float, float] | None = Field(
         None,
-        description="The support nx,ny,nz,d in the world frame, metres, n towards the objects and n.x + d = 0. "
-        "Default: found.",
+        description="The support plane nx,ny,nz,d in the world frame, metres, n towards the objects and n.x + d = 0. "
+        "Default: searched.",
     )
     up: tuple[float, float, float] | None = Field(
         None,
-        description="Only look for a support facing this way, in the world frame. Default: guessed from the cameras.",
+        description="Direction that the support plane faces, in the world frame, within 30 degrees. Default: guessed "
+        "from the cameras.",
     )
-    inlier: float = Field(0.01, gt=0, description="Metres a point may be off the support while it is looked for.")
+    inlier: float = Field(0.01, gt=0, description="Greatest distance of a plane's points in the search, metres.")
     above: tuple[float, float] | None = Field(
         None,
-        description="Heights above the support between which surface is objects, metres: 0.01,0.3. "
-        "Default: from a voxel, or 4 sigma of the support's noise, to 1 m.",
+        description="Heights above the support plane between which surface belongs to objects, metres: 0.01,0.3. "
+        "Default: from a voxel, or 4 sigma of the plane's noise, to 1 m.",
     )
-    margin: float = Field(0.0, description="Metres an object may stand out over the edge of the support that was seen.")
-    eps: float = Field(0.02, gt=0, description="Largest gap within one object, metres.")
+    margin: float = Field(
+        0.0, description="Metres by which objects may project beyond the edge of the support that was seen."
+    )
+    eps: float = Field(0.02, gt=0, description="Greatest gap within one object, metres.")
     core_area: float | None = Field(
         None,
         gt=0,
         description="Surface within eps that makes a point the core of an object, m2. Default: 0.2 pi eps^2.",
     )
-    min_area: float = Field(0.001, ge=0, description="Surface an object has at least, m2.")
-    max_extent: float = Field(0.6, gt=0, description="Length of an object at most, metres.")
-    names: tuple[str, ...] = Field((), description="Names of the objects, that of the largest surface first.")
+    min_area: float = Field(0.001, ge=0, description="Least surface of an object, m2.")
+    max_extent: float = Field(0.6, gt=0, description="Greatest length of an object, metres.")
+    names: tuple[str, ...] = Field((), description="Names of the objects, in order of surface, the largest first.")
     seed: int = Field(0, ge=0, description="Seed of the random choices.")
 
     @field_validator("above")
@@ -64,11 +67,11 @@ class ObjectsParams(Params):
 
 @stage(makes=ObjectInstances, version=2)
 def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, out: Path) -> None:
-    """Split the surface into the objects on its support and the background.
+    """Split the surface into the objects on the support plane and the background.
 
-    The support is the largest plane that faces up, as far as the cameras tell, and that has little surface below it.
-    What stands on it, walls left out, is clustered (DBSCAN); objects are numbered by their surface, the largest first.
-    Objects that touch are one; the table of objects says which nearly touch.
+    The support plane is the largest one that faces up, as guessed from the cameras, with little surface below it. The
+    surface above it, without walls, is clustered (DBSCAN); objects are numbered by surface, the largest first. Objects
+    that touch become one; the table of objects lists those that nearly touch.
     """
     import numpy as np
 
@@ -144,28 +147,28 @@ def _unit(name: str, values: tuple[float, ...] | None) -> np.ndarray | None:
 
 
 def _warnings(split: Split, params: ObjectsParams) -> list[str]:
-    """What a person should look at, a sentence each."""
+    """Warnings for the user, one sentence each."""
     from bask_data.core.objects import CONCAVE_SHARE
 
-    told = list(split.warnings)
+    warnings = list(split.warnings)
     if split.n_too_large:
-        told.append(
+        warnings.append(
             f"{split.n_too_large} clusters longer than {params.max_extent} m became background: furniture, or objects "
             "that touch; see --max-extent, --eps and the workspace of `reconstruct`"
         )
     if split.n_too_many:
-        told.append(f"only the 255 largest objects were kept, {split.n_too_many} more became background")
+        warnings.append(f"only the 255 largest objects were kept, {split.n_too_many} more became background")
     if not split.instances:
-        told.append(
+        warnings.append(
             f"no object was found ({split.n_too_small} clusters smaller than {params.min_area} m2): look at the mesh, "
             "then see --plane, --up, --above and --min-area"
         )
     if hollow := [one for one in split.instances if one.concave_share >= CONCAVE_SHARE]:
         which = ", ".join(f"{one.id} ({one.concave_share:.0%} of it lies inside its hull)" for one in hollow)
-        told.append(f"hollow, or several objects that touch: {which}")
+        warnings.append(f"hollow, or several objects that touch: {which}")
     if split.neighbours:
         pairs = ", ".join(f"{one.a} and {one.b} ({100 * one.gap:.1f} cm)" for one in split.neighbours)
-        told.append(f"objects that nearly touch: {pairs}")
+        warnings.append(f"objects that nearly touch: {pairs}")
     if split.instances and len(params.names) > len(split.instances):
-        told.append(f"{len(params.names)} names were given, but {len(split.instances)} objects found")
-    return told
+        warnings.append(f"{len(params.names)} names were given, but {len(split.instances)} objects found")
+    return warnings

