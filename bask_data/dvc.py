@@ -21,11 +21,14 @@ from bask_data.engine import (
     Stage,
     Task,
     laid_over,
+    of_stage,
+    own_parameters,
     parameter_files,
     plan,
     read_requested,
     resolve,
     sections_for,
+    under_and_over_record,
 )
 from bask_data.errors import UsageError
 from bask_data.kinds import KINDS, Demonstration, Scan
@@ -83,7 +86,7 @@ def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[st
     import yaml
 
     stages = list(stages)
-    config = _with_requested(dataset, stages, config)
+    config = _with_kept(dataset, stages, config)
     described: dict[str, Any] = {}
     for scope, kind in (("scene", Scan), ("demonstration", Demonstration)):
         sources = dataset.file.scenes if scope == "scene" else dataset.file.demonstrations
@@ -101,14 +104,18 @@ def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[st
     }
 
 
-def _with_requested(dataset: Dataset, stages: Iterable[Stage], config: Config) -> Config:
-    """The configuration over the recorded parameters: params.yaml states every parameter, and overrides both later."""
+def _with_kept(dataset: Dataset, stages: Sequence[Stage], config: Config) -> Config:
+    """The configuration over what the dataset keeps: the newer of its params.yaml and its recorded parameters."""
     requested = read_requested(dataset.root)
-    laid: Config = {}
+    older, newer = under_and_over_record(own_parameters(dataset.root, stages), requested)
+    merged: Config = {}
     for stage in stages:
         variants = list(dataset.variants(stage.makes)) if stage.makes.has_variants else []
-        laid |= laid_over(requested.parameters, config, stage.name, variants)
-    return laid
+        sections = of_stage(older, stage.name)
+        for above in (requested.parameters, newer, config):
+            sections = laid_over(sections, above, stage.name, variants)
+        merged |= sections
+    return merged
 
 
 def _gitignore(file: Path) -> str:

@@ -11,9 +11,11 @@ import yaml
 from bask_data.config import load_config
 from bask_data.dataset import Dataset, Variant
 from bask_data.dvc import compared_files, render, written_files
+from bask_data.engine import RunRequest, own_parameters, planned, record_requested
 from bask_data.errors import UsageError
 from bask_data.kinds import KeypointTrack
 from bask_data.pipeline import STAGES
+from tests.datasets import add_scan
 from tests.tiny import PARAMS, write_recording
 
 BIN = Path(sys.executable).parent
@@ -138,3 +140,19 @@ def test_repro_runs_all_then_nothing_then_what_a_change_affects(repository: Path
         *("ingest-b", "reconstruct-b", "objects-b", "masks-b", "correspondences-b"),
         *("train", "reference", "encode-d"),
     }
+
+
+def test_an_option_given_after_rendering_is_kept_and_rendered(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    add_scan(dataset, "a")
+    written_files(dataset, STAGES, {"reconstruct": {"voxel_size": 0.008}})
+    reconstruct = STAGES[0]
+    request = RunRequest(stages=("reconstruct",), options={"voxel_size": 0.01})
+    record_requested(dataset, reconstruct, request, own_parameters(dataset.root, STAGES))
+    [batch] = planned(dataset, STAGES, RunRequest(stages=("reconstruct",)))
+    assert batch.tasks[0].params.model_dump()["voxel_size"] == 0.01
+    with pytest.raises(UsageError, match=r"params\.yaml: expected what the code renders"):
+        compared_files(dataset, STAGES, {}).refuse_changed()
+    written_files(dataset, STAGES, {})
+    assert own_parameters(dataset.root, STAGES)["reconstruct"]["voxel_size"] == 0.01
+    compared_files(dataset, STAGES, {}).refuse_changed()

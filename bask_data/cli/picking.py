@@ -10,8 +10,9 @@ import typer
 
 from bask_data.cli.console import say, show_outcome, shown_progress
 from bask_data.cli.options import parameter
-from bask_data.engine import Outcome, record_requested
+from bask_data.engine import Outcome, own_parameters, record_requested
 from bask_data.errors import UsageError
+from bask_data.pipeline import STAGES
 
 if TYPE_CHECKING:
     from bask_data.cli.calls import StageCall
@@ -78,7 +79,8 @@ def pick(call: StageCall, *, parameters: Path, dry_run: bool, options: dict[str,
             raise typer.Exit(130) from None
     if outcomes:
         # The picks themselves are in the parameter file.
-        record_requested(call.dataset, call.stage, call.request)
+        own = own_parameters(call.dataset.root, STAGES)
+        record_requested(call.dataset, call.stage, call.request, own)
     for outcome in outcomes:
         show_outcome(outcome)
     if not outcomes:

@@ -11,7 +11,8 @@ from bask_data.cli import completion
 from bask_data.cli.commands import CommandList
 from bask_data.cli.console import print_result, say, shown_progress
 from bask_data.cli.options import ConfigFile, Json, Preset, Root, names_of
-from bask_data.cli.working import parameters_of, quoted
+from bask_data.cli.working import quoted
+from bask_data.config import load_config
 from bask_data.dataset import Dataset
 from bask_data.export import FORMATS
 from bask_data.pipeline import STAGES
@@ -111,7 +112,7 @@ def dvc(
     """Write dvc.yaml and params.yaml, to run the pipeline with `dvc repro`."""
     from bask_data.dvc import compared_files, written_files
 
-    files = (compared_files if check else written_files)(Dataset(root), STAGES, parameters_of(root, config, [], preset))
+    files = (compared_files if check else written_files)(Dataset(root), STAGES, load_config(config, [], STAGES, preset))
     document = {"files": sorted(files.texts), "changed": list(files.changed)}
     print_result("dvc", files.changed if check else [], document, json_)
     if check:

@@ -13,7 +13,7 @@ import typer
 
 from bask_data.cli.console import print_result, say
 from bask_data.config import load_config
-from bask_data.engine import PARAMS, Config, Outcome, RunRequest
+from bask_data.engine import PARAMS, Outcome, RunRequest
 from bask_data.errors import UsageError, imported
 from bask_data.pipeline import STAGES
 from bask_data.presets import PresetName
@@ -43,14 +43,6 @@ def executor_of(jobs: int, cluster: str) -> Iterator[Executor | None]:
 def quoted(path: Path) -> str:
     """A path quoted for a shell."""
     return shlex.quote(str(path))
-
-
-def parameters_of(
-    root: Path, config: Path | None, assignments: Sequence[str], preset: PresetName | None = None
-) -> Config:
-    """Parameters from `--config` or the dataset's own params.yaml, overridden by `--preset` and then `--set`."""
-    own = root / PARAMS
-    return load_config(config or (own if own.exists() else None), assignments, STAGES, preset)
 
 
 def request_of(

@@ -15,8 +15,15 @@ from bask_data.engine.making import Outcome, Position, make, predicted, run
 from bask_data.engine.params_file import PARAMS, checked_sections, own_parameters, sections_in, sections_of
 from bask_data.engine.pipeline import PlannedStage, Standing, planned, run_pipeline, status
 from bask_data.engine.publishing import Origin, published, scratches
-from bask_data.engine.requested import REQUESTED, Requested, RunRequest, read_requested, record_requested
-from bask_data.engine.sections import Config, laid_over, sections_for
+from bask_data.engine.requested import (
+    REQUESTED,
+    Requested,
+    RunRequest,
+    read_requested,
+    record_requested,
+    under_and_over_record,
+)
+from bask_data.engine.sections import Config, laid_over, of_stage, sections_for
 from bask_data.engine.snapshot import Snapshot
 from bask_data.engine.state import Blocked, State, key_parts, state_of, state_or_blocked
 from bask_data.engine.tasks import Task, parameter_files, plan, resolve
@@ -48,6 +55,7 @@ __all__ = [
     "key_parts",
     "laid_over",
     "make",
+    "of_stage",
     "own_parameters",
     "parameter_files",
     "plan",
@@ -69,4 +77,5 @@ __all__ = [
     "state_of",
     "state_or_blocked",
     "status",
+    "under_and_over_record",
 ]

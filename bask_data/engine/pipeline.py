@@ -11,8 +11,15 @@ from bask_data.dataset import Dataset, Variant
 from bask_data.engine.declare import Stage
 from bask_data.engine.making import Outcome, Position, predicted, run
 from bask_data.engine.params_file import own_parameters
-from bask_data.engine.requested import Requested, RunRequest, read_requested, record_requested, variant_names
-from bask_data.engine.sections import laid_over
+from bask_data.engine.requested import (
+    Requested,
+    RunRequest,
+    read_requested,
+    record_requested,
+    under_and_over_record,
+    variant_names,
+)
+from bask_data.engine.sections import Config, laid_over
 from bask_data.engine.snapshot import Snapshot
 from bask_data.engine.state import State, state_or_blocked
 from bask_data.engine.tasks import Task, named_files, plan
@@ -68,25 +75,28 @@ def planned(dataset: Dataset, stages: Sequence[Stage], request: RunRequest) -> l
         )
     if request.only:
         dataset.select(request.only)
-    recorded = read_requested(dataset.root, stages)
     own = {} if request.ignores_own_file else own_parameters(dataset.root, stages)
+    requested = read_requested(dataset.root, stages)
     if request.replaces:
-        recorded = Requested(files=recorded.files)
+        requested = Requested(files=requested.files)
+    older, newer = under_and_over_record(own, requested)
     batches = []
     for stage in stages:
         items = _items(dataset, stage, request)
         if (request.stages and stage.name not in request.stages) or items is None:
             continue
         for variant in _variants(dataset, stage, request):
+            names = variant_names(dataset, stage, variant)
+            recorded = laid_over(older, requested.parameters, stage.name, names)
             tasks = plan(
                 dataset,
                 stage,
-                config=laid_over(own, request.given, stage.name, variant_names(dataset, stage, variant)),
+                config=laid_over(newer, request.given, stage.name, names),
                 options=request.options,
                 only=items,
                 variant=variant,
                 variant_inputs=request.variant_inputs,
-                requested=recorded,
+                requested=Requested(parameters=recorded, files=requested.files),
             )
             batches.append(PlannedStage(stage, variant, tasks))
     return batches
@@ -123,7 +133,9 @@ def run_pipeline(
     _refuse_nothing(dataset, batches, request)
     if dry_run:
         return _predicted(batches, force)
-    return _made(dataset, batches, request, executor, force, begin or (lambda position: None))
+    # Read here, not when something is recorded: the file may be edited during a run, and that is a newer statement.
+    own = own_parameters(dataset.root, stages)
+    return _made(dataset, batches, request, own, executor, force, begin or (lambda position: None))
 
 
 def status(dataset: Dataset, stages: Sequence[Stage], request: RunRequest | None = None) -> Iterator[Standing]:
@@ -183,6 +195,7 @@ def _made(
     dataset: Dataset,
     batches: Sequence[PlannedStage],
     request: RunRequest,
+    own: Config,
     executor: Executor | None,
     force: bool,
     begin: Begin,
@@ -194,7 +207,7 @@ def _made(
             if outcome.status in ("made", "up to date") and stage.name not in recorded:
                 files = [file for task in batch.tasks for file in named_files(stage, task.params).values()]
                 items = _items(dataset, stage, request) or ()
-                record_requested(dataset, stage, request, items=items, files=files)
+                record_requested(dataset, stage, request, own, items=items, files=files)
                 recorded.add(stage.name)
             if outcome.status == "made" and not is_listed:
                 dataset.add_variant(stage.makes, batch.variant, _variant(dataset, batch, request))

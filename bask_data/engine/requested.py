@@ -7,7 +7,7 @@ opens the dataset would compare its artifacts with the defaults, and find them s
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -36,6 +36,8 @@ class Requested(BaseModel):
 
     Args:
         parameters: by section, as in `params.yaml`; also `stage@variant@item` for one item in one variant.
+        overridden: by section, what `params.yaml` said of recorded parameters when they were recorded. What it says
+            otherwise is newer, and takes precedence over the record.
         files: SHA-256 by path of every file that a parameter names, so that a machine without the file can determine
             what is up to date.
     """
@@ -44,6 +46,7 @@ class Requested(BaseModel):
 
     bask_requested: Literal[1] = 1
     parameters: dict[str, dict[str, JsonValue]] = {}
+    overridden: dict[str, dict[str, JsonValue]] = {}
     files: dict[str, _Digest] = {}
 
 
@@ -51,7 +54,7 @@ class Requested(BaseModel):
 class RunRequest:
     """A request to make artifacts, with its parameters.
 
-    Precedence: `options`, `given`, the dataset's own params.yaml, the parameters recorded with it, the defaults.
+    Precedence: `options`, `given`, the newer of the dataset's params.yaml and its record, the defaults.
 
     Args:
         stages: names of stages; empty for all.
@@ -96,65 +99,128 @@ def read_requested(root: Path, stages: Iterable[Stage] = ()) -> Requested:
     except ValueError as error:
         raise BadData(file, "", expected="finite numbers", got=str(error), fix=_RESTORE) from error
     known = [stage.name for stage in stages]
-    for section in requested.parameters:
+    for section in [*requested.parameters, *requested.overridden]:
         if not _SECTION.fullmatch(section) or (known and section.partition("@")[0] not in known):
             expected = f"one of {', '.join(known)}" if known else "stage, stage@name or stage@variant@item"
             raise BadData(file, "parameters", expected=expected, got=section[:80], fix=_RESTORE)
     return requested
 
 
+def under_and_over_record(own: Config, requested: Requested) -> tuple[Config, Config]:
+    """The parameters in `params.yaml` that are older than the record, and those that are newer.
+
+    The newer statement takes precedence: options that override a value in `params.yaml`, or a later edit of that value.
+
+    Args:
+        own: parameters by section, from the dataset's own params.yaml.
+    """
+    older: Config = {}
+    newer: Config = {}
+    for section, values in own.items():
+        was = requested.overridden.get(section, {})
+        for name, value in values.items():
+            side = older if name in was and was[name] == _as_json(value) else newer
+            side.setdefault(section, {})[name] = value
+    return older, newer
+
+
 def record_requested(
-    dataset: Dataset, stage: Stage, request: RunRequest, *, items: Sequence[str] = (), files: Iterable[Path] = ()
+    dataset: Dataset,
+    stage: Stage,
+    request: RunRequest,
+    own: Config,
+    *,
+    items: Sequence[str] = (),
+    files: Iterable[Path] = (),
 ) -> None:
     """Record the requested parameters of a stage; those of other stages, items and variants are kept.
 
     Args:
+        own: parameters by section, from the dataset's own params.yaml.
         items: items of the request; empty for all, including later ones.
         files: files that parameters name.
     """
+    own = of_stage(own, stage.name)
     digests = {str(file): file_digest(file) for file in set(files) if file.is_file()}
-    if not (digests or request.replaces or request.options or of_stage(request.given, stage.name)):
+
+    def changed(current: Requested) -> Requested:
+        recorded = _recorded(current, own, dataset, stage, request, items or None)
+        return Requested(
+            parameters=_replaced(current.parameters, stage, recorded),
+            overridden=_replaced(current.overridden, stage, _restricted(own, _fields(recorded))),
+            files={**current.files, **digests},
+        )
+
+    current = read_requested(dataset.root)
+    if changed(current) == current:
         return
     try:
         (dataset.root / SCRATCH).mkdir(exist_ok=True)
         with FileLock(dataset.root / SCRATCH / "requested.lock"):
-            current = read_requested(dataset.root)
-            own = of_stage(current.parameters, stage.name)
-            others = {section: values for section, values in current.parameters.items() if section not in own}
-            own = _recorded(own, dataset, stage, request, items or None)
-            parameters = dict(sorted({**others, **own}.items()))
-            changed = Requested(parameters=parameters, files={**current.files, **digests})
-            if changed != current:
-                write_json_atomically(dataset.root / REQUESTED, changed.model_dump(mode="json"))
+            # Another process may have changed the file in the meantime.
+            document = changed(read_requested(dataset.root)).model_dump(mode="json")
+            write_json_atomically(dataset.root / REQUESTED, document)
     except OSError as error:
         # The artifact is valid all the same, and a user without write access knows the parameters.
         note(f"{stage.name}: {REQUESTED} cannot be written, so the dataset does not keep these parameters: {error}")
 
 
-def _recorded(own: Config, dataset: Dataset, stage: Stage, request: RunRequest, items: Sequence[str] | None) -> Config:
+def _replaced(config: Config, stage: Stage, sections: Config) -> Config:
+    """The configuration with other sections of one stage, in JSON."""
+    others = {section: values for section, values in config.items() if section.partition("@")[0] != stage.name}
+    return dict(sorted({**others, **_as_json(sections)}.items()))
+
+
+def _as_json(value: Any) -> Any:
+    return to_jsonable_python(value, fallback=str, inf_nan_mode="strings")
+
+
+def _fields(config: Config) -> set[str]:
+    return {field for values in config.values() for field in values}
+
+
+def _restricted(config: Config, fields: Collection[str]) -> Config:
+    """The sections with some fields only."""
+    kept = {section: {f: value for f, value in values.items() if f in fields} for section, values in config.items()}
+    return {section: values for section, values in kept.items() if values}
+
+
+def _recorded(
+    current: Requested, own: Config, dataset: Dataset, stage: Stage, request: RunRequest, items: Sequence[str] | None
+) -> Config:
     """The recorded sections of a stage after a request."""
     makes, variant = stage.makes, request.variant
     names = variant_names(dataset, stage, variant)
     scope = None if variant is None or not makes.has_variants else [variant]
 
-    def in_scope(values: Config) -> Config:
-        return within(values, stage.name, scope, items, names)
+    def over(below: Config, above: Config) -> Config:
+        return laid_over(below, within(above, stage.name, scope, items, names), stage.name, names)
 
-    if request.replaces and scope is None and items is None:
-        own = {}
-    elif request.replaces:
-        # Records for other variants and items are kept, so the defaults are recorded for these.
-        fields = stage.params.model_fields
-        defaults = {
-            name: fields[name].get_default(call_default_factory=True)
-            for values in own.values()
-            for name in values
-            if name in fields and not fields[name].is_required()
-        }
-        own = laid_over(own, in_scope({stage.name: defaults}), stage.name, names)
-    own = laid_over(own, in_scope(request.given), stage.name, names)
-    own = laid_over(own, in_scope({stage.name: request.options}), stage.name, names)
-    return to_jsonable_python(own, fallback=str)
+    recorded = of_stage(current.parameters, stage.name)
+    # A newer value in params.yaml becomes part of the record, which changes no parameter. It would otherwise count as
+    # older from here on, and the value that it overrode would return.
+    _, newer = under_and_over_record(own, current)
+    recorded = laid_over(recorded, _restricted(newer, _fields(recorded)), stage.name, names)
+    if request.replaces:
+        is_whole = scope is None and items is None
+        # A record for other variants and items is kept, so those of the request need values to override it, and
+        # likewise to override a params.yaml that was not used.
+        overruled = set() if is_whole else _fields(recorded)
+        overruled |= _fields(own) if request.ignores_own_file else set()
+        defaults = laid_over({stage.name: _defaults(stage, overruled)}, {}, stage.name, names)
+        used = {} if request.ignores_own_file else _restricted(own, overruled)
+        recorded = over({} if is_whole else recorded, laid_over(defaults, used, stage.name, names))
+    recorded = over(recorded, request.given)
+    return over(recorded, {stage.name: request.options})
+
+
+def _defaults(stage: Stage, names: Collection[str]) -> dict[str, Any]:
+    fields = stage.params.model_fields
+    return {
+        name: fields[name].get_default(call_default_factory=True)
+        for name in sorted(names)
+        if name in fields and not fields[name].is_required()
+    }
 
 
 def variant_names(dataset: Dataset, stage: Stage, variant: str | None = None) -> list[str]:

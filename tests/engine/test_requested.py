@@ -39,6 +39,10 @@ def parameters(dataset: Dataset) -> Config:
     return read_requested(dataset.root, STAGES).parameters
 
 
+def voxel_sizes(dataset: Dataset) -> list[float]:
+    return [Reconstruction(dataset.path(Reconstruction, name)).manifest.params["voxel_size"] for name in "ab"]
+
+
 def test_artifacts_made_with_options_are_up_to_date_without_them(dataset: Dataset) -> None:
     assert made(dataset, options={"voxel_size": 0.2}) == ["made", "made"]
     assert parameters(dataset) == {"fuse": {"voxel_size": 0.2}}
@@ -104,6 +108,57 @@ def test_parameters_of_the_datasets_own_file_are_not_recorded(dataset: Dataset) 
     made(dataset)
     assert Reconstruction(dataset.path(Reconstruction, "a")).manifest.params["voxel_size"] == 0.2
     assert not (dataset.root / REQUESTED).exists()
+
+
+def test_a_later_option_takes_precedence_over_params_yaml_until_the_file_says_something_else(dataset: Dataset) -> None:
+    file = dataset.root / PARAMS
+    file.write_text("fuse: {voxel_size: 0.2, ignored: 1}")
+    assert made(dataset) == ["made", "made"]
+    assert made(dataset, only=("a",), options={"voxel_size": 0.3}) == ["made"]
+    assert parameters(dataset) == {"fuse@a": {"voxel_size": 0.3}}
+    assert stale(dataset) == []
+    file.write_text("fuse: {voxel_size: 0.2, ignored: 2}")
+    assert made(dataset) == ["made", "made"]
+    assert voxel_sizes(dataset) == [0.3, 0.2]
+    file.write_text("fuse: {voxel_size: 0.4}")
+    assert made(dataset) == ["made", "made"]
+    assert voxel_sizes(dataset) == [0.4, 0.4]
+    # The latest statement again, although an option once overrode the same value.
+    file.write_text("fuse: {voxel_size: 0.2}")
+    assert made(dataset) == ["made", "made"]
+    assert voxel_sizes(dataset) == [0.2, 0.2]
+    assert stale(dataset) == []
+
+
+def test_an_option_for_one_scene_does_not_bring_back_what_params_yaml_overrode_for_another(dataset: Dataset) -> None:
+    file = dataset.root / PARAMS
+    made(dataset, only=("a",), options={"voxel_size": 0.2})
+    file.write_text("fuse@a: {voxel_size: 0.3}")
+    assert made(dataset, only=("b",), options={"voxel_size": 0.4}) == ["made"]
+    assert made(dataset) == ["made", "up to date"]
+    assert voxel_sizes(dataset) == [0.3, 0.4]
+
+
+@pytest.mark.parametrize("only", [(), ("a",)])
+def test_a_configuration_used_instead_of_params_yaml_is_what_the_dataset_is_compared_with(
+    dataset: Dataset, only: tuple[str, ...]
+) -> None:
+    (dataset.root / PARAMS).write_text("fuse: {voxel_size: 0.2, ignored: 1}")
+    made(dataset)
+    given = {"fuse": {"voxel_size": 0.3}}
+    assert set(made(dataset, only=only, given=given, replaces=True, ignores_own_file=True)) == {"made"}
+    assert voxel_sizes(dataset) == [0.3, 0.2 if only else 0.3]
+    assert Reconstruction(dataset.path(Reconstruction, "a")).manifest.params["ignored"] == 0
+    assert stale(dataset) == []
+
+
+@pytest.mark.parametrize("only", [(), ("a",)])
+def test_defaults_leave_what_params_yaml_says(dataset: Dataset, only: tuple[str, ...]) -> None:
+    (dataset.root / PARAMS).write_text("fuse: {voxel_size: 0.2}")
+    made(dataset, options={"voxel_size": 0.3, "ignored": 1})
+    made(dataset, only=only, replaces=True)
+    assert voxel_sizes(dataset) == [0.2, 0.3 if only else 0.2]
+    assert stale(dataset) == []
 
 
 def test_neither_a_dry_run_nor_a_failure_records_anything(dataset: Dataset) -> None:
