@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bask_data.artifact import read_manifest
 from bask_data.cli.console import say, show_outcome, shown_progress
 from bask_data.cli.options import parameter
 from bask_data.engine import Outcome, own_parameters, record_requested
@@ -78,14 +80,20 @@ def pick(call: StageCall, *, parameters: Path, dry_run: bool, options: dict[str,
             say("interrupted: nothing was saved; the picks are kept, and the same command continues with them.")
             raise typer.Exit(130) from None
     if outcomes:
-        # The picks themselves are in the parameter file.
-        own = own_parameters(call.dataset.root, STAGES)
-        record_requested(call.dataset, call.stage, call.request, own)
+        _record(call, outcomes[-1])
     for outcome in outcomes:
         show_outcome(outcome)
     if not outcomes:
         say("nothing was saved; the same command continues with the picks.")
     return outcomes
+
+
+def _record(call: StageCall, saved: Outcome) -> None:
+    """Record the request with the picks, which may be in another file than the dataset's own params.yaml."""
+    params = read_manifest(Path(saved.path)).params
+    request = replace(call.request, options={**call.request.options, "picks": params["picks"], "auto": params["auto"]})
+    # Read after saving, which may have written the picks to it.
+    record_requested(call.dataset, call.stage, request, own_parameters(call.dataset.root, STAGES))
 
 
 def _open_in_browser(url: str) -> None:

@@ -15,7 +15,7 @@ from bask_data.artifact import SCRATCH
 from bask_data.cli.app import app
 from bask_data.config import load_config
 from bask_data.dataset import Dataset, Variant
-from bask_data.engine import plan, state_of
+from bask_data.engine import RunRequest, plan, state_of, status
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import DescriptorNet, ReferenceKeypoints, VisibleMasks
 from bask_data.picker import Picking, pick_keypoints
@@ -242,6 +242,30 @@ def test_ctrl_c_ends_as_finish_does_once_something_was_saved(pickable_copy, monk
         assert ended.exit_code == 130
         assert "nothing was saved; the picks are kept, and the same command continues with them." in ended.stderr
         assert list((pickable_copy.root / SCRATCH).glob("picks*.json"))
+
+
+@pytest.mark.parametrize("is_other_file", [True, False])
+def test_picks_are_up_to_date_without_options_whatever_was_given_before(
+    pickable_copy, monkeypatch, tmp_path, is_other_file: bool
+) -> None:
+    def saved(desk: Desk, port: int, opened: object) -> None:
+        desk.edit(EditRequest(do="add", at=FramePixel(frame=frame("a", 1), u=40.0, v=50.0)))
+        desk.save(EmptyRequest())
+
+    def command(*words: object) -> None:
+        ended = CliRunner().invoke(app, ["reference", str(pickable_copy.root), *map(str, words)])
+        assert ended.exit_code == 0, ended.stderr
+        [standing] = status(Dataset(pickable_copy.root), STAGES, RunRequest(stages=("reference",)))
+        assert (standing.state.status, standing.state.why) == ("up to date", "")
+
+    monkeypatch.setattr("bask_data.picker.serve", saved)
+    file = tmp_path / "other.yaml"
+    file.write_text("reference: {seed: 1}\n")
+    picking = ["--pick", "--no-browser", *(["--config", file] if is_other_file else [])]
+    command(*picking)
+    command("--auto", "--n", 2)
+    command(*picking)
+    assert len(ReferenceKeypoints(pickable_copy.path(ReferenceKeypoints)).picks) > 0
 
 
 def picked(dataset: Dataset, **options: object) -> None:
