@@ -24,7 +24,8 @@ from xfeat import XFeat, descriptors_at, upsampled
 from bask_data.dataset import Dataset
 from bask_data.evaluation.frames import Frame, Frames
 from bask_data.evaluation.held_out import HeldOut
-from bask_data.evaluation.matches import PairMatches, candidate_pairs
+from bask_data.evaluation.matches import candidate_pairs
+from bask_data.evaluation.pair_matches import PairMatches
 from bask_data.evaluation.search import ALPHA, Cells, found_matches
 from bask_data.nn.network import load
 

@@ -11,7 +11,8 @@ from bask_data.errors import UsageError
 from bask_data.evaluation.frames import Frames
 from bask_data.evaluation.held_out import HeldOut, held_out
 from bask_data.evaluation.keypoints import keypoint_table
-from bask_data.evaluation.matches import BINS, PairMatches, alike_pairs, candidate_pairs, spread_pairs
+from bask_data.evaluation.matches import alike_pairs, candidate_pairs, spread_pairs
+from bask_data.evaluation.pair_matches import BINS, PairMatches
 from bask_data.evaluation.search import ALPHA, ALPHAS, RADIUS, Cells, found_matches
 from bask_data.evaluation.sweep import CONDITIONS, swept
 from bask_data.kinds import DescriptorNet

@@ -15,8 +15,8 @@ from bask_data.dataset import Dataset
 from bask_data.errors import UsageError
 from bask_data.evaluation.frames import Frame, Frames
 from bask_data.evaluation.held_out import HeldOut, learned_scenes
-from bask_data.evaluation.matches import drawn_pixels, shows
 from bask_data.evaluation.search import ALPHA, described, descriptors_at, looked_for
+from bask_data.evaluation.true_matches import drawn_pixels, shows
 from bask_data.kinds import Scan, Truth
 from bask_data.kinds.places import ObjectPoints, carried, label_of
 from bask_data.progress import progress

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from bask_data.evaluation.frames import Frame, Frames
-from bask_data.evaluation.matches import PairMatches
+from bask_data.evaluation.pair_matches import PairMatches
 
 if TYPE_CHECKING:
     import numpy as np

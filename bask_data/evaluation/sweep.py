@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from bask_data.evaluation.frames import Frames
-from bask_data.evaluation.matches import PairMatches
+from bask_data.evaluation.pair_matches import PairMatches
 from bask_data.evaluation.search import Cells, described, descriptors_at, looked_for, records_of
 from bask_data.progress import progress
 

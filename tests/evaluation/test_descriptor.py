@@ -15,7 +15,8 @@ from bask_data.errors import BadData, UsageError
 from bask_data.evaluation import DescriptorSettings, descriptor, evaluated_descriptor
 from bask_data.evaluation.frames import Frame, Frames
 from bask_data.evaluation.held_out import HeldOut, held_out
-from bask_data.evaluation.matches import BINS, alike_pairs, candidate_pairs, spread_pairs
+from bask_data.evaluation.matches import alike_pairs, candidate_pairs, spread_pairs
+from bask_data.evaluation.pair_matches import BINS
 from bask_data.evaluation.sweep import about, moved, moved_pixels
 from bask_data.kinds import Correspondences, DescriptorNet, PairRow
 from tests.datasets import publish_artifact
