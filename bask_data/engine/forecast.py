@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,24 +30,30 @@ class Forecast:
     predicted: Sequence[Outcome]
     workers: int = 1
     _left: dict[str, set[str]] = field(init=False)
-    _seconds: dict[str, list[float]] = field(init=False)
+    _n_left: Counter[tuple[str, str]] = field(init=False)
+    _made: dict[str, tuple[int, float]] = field(init=False)
     _recorded: dict[str, float | None] = field(init=False)
 
     def __post_init__(self) -> None:
-        self._left, self._seconds, self._recorded = defaultdict(set), defaultdict(list), {}
+        # Sums and counts: each of thousands of tasks asks for what is left.
+        self._left, self._n_left, self._made, self._recorded = defaultdict(set), Counter(), {}, {}
         for outcome in self.predicted:
             if outcome.status == "would make":
                 self._left[outcome.kind].add(outcome.path)
+                self._n_left[outcome.kind, outcome.item] += 1
 
     def count(self, outcome: Outcome) -> None:
         """Count one task as done."""
-        self._left[outcome.kind].discard(outcome.path)
+        if outcome.path in self._left[outcome.kind]:
+            self._left[outcome.kind].remove(outcome.path)
+            self._n_left[outcome.kind, outcome.item] -= 1
         if outcome.status == "made":
-            self._seconds[outcome.kind].append(outcome.seconds)
+            n, seconds = self._made.get(outcome.kind, (0, 0.0))
+            self._made[outcome.kind] = n + 1, seconds + outcome.seconds
 
     def is_pending(self, kind: str, item: str = "") -> bool:
         """Whether artifacts of a kind are still to be made; only those of `item`, if given."""
-        return any(not item or Path(path).name == item for path in self._left[kind])
+        return self._n_left[kind, item] > 0 if item else bool(self._left[kind])
 
     def left(self) -> tuple[float, bool]:
         """Seconds left, and whether they cover all stages: the duration of some may not be known yet."""
@@ -55,7 +61,8 @@ class Forecast:
         for kind, paths in self._left.items():
             if not paths:
                 continue
-            per_task = mean(self._seconds[kind]) if self._seconds[kind] else self._recorded_mean(kind)
+            n, seconds = self._made.get(kind, (0, 0.0))
+            per_task = seconds / n if n else self._recorded_mean(kind)
             total += len(paths) / min(self.workers, len(paths)) * (per_task or 0.0)
             is_all = is_all and per_task is not None
         return total, is_all

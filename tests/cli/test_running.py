@@ -106,7 +106,7 @@ def test_a_run_shows_its_position_and_the_time_left(capsys: pytest.CaptureFixtur
     assert lines[-1] == "  up to date  1 masks"
     assert not any("masks d" in line for line in lines), "what is up to date is counted"
     course = Course(Forecast(tmp_path, predicted), is_pipeline=False)
-    course._forecast._seconds["masks"] = [40.0]
+    course._forecast.count(outcome("masks", "earlier", "made", 40.0))
     course.begin(Position("masks", "main", 1, 1, "", 1, 4))
     assert capsys.readouterr().err == "  masks (4 items), about 2 min 0 s left\n"
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -63,3 +64,14 @@ def test_only_what_would_be_made_is_pending(tmp_path: Path) -> None:
     forecast = Forecast(tmp_path, [predicted(tmp_path, "mesh", "a"), predicted(tmp_path, "mesh", "b", "up to date")])
     assert forecast.is_pending("mesh") and forecast.is_pending("mesh", "a")
     assert not forecast.is_pending("mesh", "b") and not forecast.is_pending("net")
+
+
+def test_asking_at_each_of_thousands_of_items_takes_no_time(tmp_path: Path) -> None:
+    tasks = [predicted(tmp_path, "mesh", f"a{i}") for i in range(4000)]
+    forecast = Forecast(tmp_path, tasks)
+    begun = time.process_time()
+    for task in tasks:
+        assert forecast.is_pending("mesh", task.item)
+        forecast.left()
+        forecast.count(replace(task, status="made", seconds=1.0))
+    assert time.process_time() - begun < 2
