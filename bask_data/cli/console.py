@@ -25,6 +25,7 @@ _MARKS = {
     "failed": "FAILED",
     "blocked": "blocked",
     "would make": "would make",
+    "may make": "may make",
 }
 
 

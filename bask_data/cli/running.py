@@ -19,7 +19,7 @@ AFTER_DRY_RUN = "the same without --dry-run"
 MOST_LISTED = 3
 """Artifacts of a stage that a summary lists; the others are counted."""
 
-STATUSES = ("up to date", "would make", "stale", "missing", "blocked")
+STATUSES = ("up to date", "would make", "may make", "stale", "missing", "blocked")
 """Statuses in the order in which a summary counts them."""
 
 
@@ -45,7 +45,7 @@ class Course:
         self._begun = time.monotonic()
 
     def begin(self, at: Position) -> None:
-        """Print what begins, unless it is up to date: number of the stage, item, and time left."""
+        """Print what begins, unless it is known to be up to date: number of the stage, item, and time left."""
         kind = self._kinds[at.stage]
         if not self._forecast.is_pending(kind, at.item):
             return
@@ -58,10 +58,8 @@ class Course:
         say(f"  {stages}{at.stage}{variant}{items}{self._left()}")
 
     def _left(self) -> str:
-        seconds, is_all = self._forecast.left()
-        if not seconds:
-            return ""
-        return f", {'about' if is_all else 'more than'} {duration(seconds)} left"
+        seconds, bound = self._forecast.left()
+        return f", {bound} {duration(seconds)} left" if seconds else ""
 
     def shown(self, outcomes: Iterable[Outcome]) -> Iterator[Outcome]:
         """The same outcomes, each shown when it arrives."""

@@ -46,7 +46,8 @@ class Outcome:
     """The outcome of a task.
 
     Args:
-        why: in words, why the artifact was made or not.
+        status: in a dry run `would make`, or `may make` if it depends on whether remade inputs change.
+        why: in words, why the artifact was made or not; for `up to date` which of its files are missing here, if any.
         seconds: duration of the work.
         digest: content digest of the artifact, if there is one.
         error: the cause of a failure, if it is a `BaskError`.
@@ -59,7 +60,7 @@ class Outcome:
     item: str
     variant: str
     path: str
-    status: Literal["made", "up to date", "failed", "blocked", "would make"]
+    status: Literal["made", "up to date", "failed", "blocked", "would make", "may make"]
     why: str = ""
     seconds: float = 0.0
     digest: str = ""
@@ -123,7 +124,7 @@ def predicted(
     """The outcomes of a dry run: what `run` would make, and why.
 
     Args:
-        coming: paths of what earlier stages would make; those of these tasks are added.
+        coming: paths of what earlier stages would or may make; those of these tasks are added.
         seen: the artifacts on disk; by default a new snapshot.
     """
     seen = seen or Snapshot()
@@ -132,8 +133,14 @@ def predicted(
         missing = state.blocked.paths if state.blocked else ()
         if missing and coming.issuperset(missing):
             state = State("missing", f"after {', '.join(path.relative_to(task.root).as_posix() for path in missing)}")
-        would = state.status in ("missing", "stale") or (force and state.status == "up to date")
-        if would:
+        status = cast(Any, state.status)
+        remade = [binding.place for binding in task.bindings if task.root / binding.place in coming]
+        if status in ("missing", "stale") or (force and status == "up to date"):
+            status = "would make"
+        elif status == "up to date" and remade:
+            # It stays as it is if its inputs turn out the same again.
+            status, state = "may make", State("up to date", f"if this changes: {', '.join(remade)}")
+        if status in ("would make", "may make"):
             coming.add(task.target)
         yield Outcome(
             task.label,
@@ -141,7 +148,7 @@ def predicted(
             task.item,
             task.variant,
             str(task.target),
-            "would make" if would else cast(Any, state.status),
+            status,
             state.why,
             blocked=state.blocked,
         )

@@ -111,6 +111,13 @@ def test_a_run_shows_its_position_and_the_time_left(capsys: pytest.CaptureFixtur
     assert capsys.readouterr().err == "  masks (4 items), about 2 min 0 s left\n"
 
 
+def test_an_item_that_may_be_remade_is_announced(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = str(tmp_path / "masks" / "a")
+    course = Course(Forecast(tmp_path, [Outcome("masks a", "masks", "a", "main", path, "may make")]), is_pipeline=True)
+    course.begin(Position("masks", "main", 3, 7, "a", 1, 1))
+    assert capsys.readouterr().err == "  stage 3 of 7: masks a\n"
+
+
 @pytest.mark.parametrize(("seconds", "words"), [(3.14, "3.1 s"), (75, "1 min 15 s"), (7500, "2 h 5 min")])
 def test_durations_are_printed_in_readable_units(seconds: float, words: str) -> None:
     assert duration(seconds) == words

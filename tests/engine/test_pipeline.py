@@ -120,3 +120,18 @@ def test_damaged_manifest_blocks_its_artifact_and_what_reads_it(dataset: Dataset
     assert blocked is not None
     assert blocked.kind == "input broken"
     assert states["pick b"].status == "up to date"
+
+
+def test_a_dry_run_predicts_that_artifacts_below_a_stale_one_may_be_remade(dataset: Dataset) -> None:
+    list(run_pipeline(dataset, STAGES))
+    request = RunRequest(given={"fuse@a": {"voxel_size": 0.2}})
+    outcomes = {outcome.label: outcome for outcome in run_pipeline(dataset, STAGES, request, dry_run=True)}
+    assert [outcome.status for outcome in outcomes.values()] == [
+        "would make",
+        "up to date",
+        "may make",
+        "up to date",
+        "may make",
+    ]
+    assert outcomes["pick a"].why == "if this changes: reconstruction/a"
+    assert outcomes["learn"].why == "if this changes: objects/a"
