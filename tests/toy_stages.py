@@ -95,3 +95,17 @@ def label(scans: list[Scan], descriptor: DescriptorNet | None, params: NameParam
     picks = [Pick(name=scan.path.name, recording=scan.path.name, camera="wrist", frame=0, u=0, v=0) for scan in scans]
     descriptors = np.full((len(scans), 1), descriptor is not None, np.float32)
     ReferenceKeypoints.write(out, descriptors=descriptors, picks=picks)
+
+
+class WeighParams(Params):
+    """The file that is read."""
+
+    file: str | None = Field(None, description="A file that is read.", json_schema_extra={"file": True})
+
+
+@stage(makes=ReferenceKeypoints, version=1)
+def weigh(scans: list[Scan], params: WeighParams, out: Path) -> None:
+    """A keypoint whose descriptor is the size of a file."""
+    size = Path(params.file).stat().st_size if params.file else 0
+    picks = [Pick(name="point", recording=scans[0].path.name, camera="wrist", frame=0, u=0, v=0)]
+    ReferenceKeypoints.write(out, descriptors=np.full((1, 1), size, np.float32), picks=picks)

@@ -205,14 +205,19 @@ def _made(
         stage, is_listed = batch.stage, batch.variant == "main"
         for i_task, outcome in enumerate(_outcomes(batches, i_batch, executor, force, begin)):
             if outcome.status in ("made", "up to date") and stage.name not in recorded:
-                files = [file for task in batch.tasks for file in named_files(stage, task.params).values()]
-                items = _items(dataset, stage, request) or ()
-                record_requested(dataset, stage, request, own, items=items, files=files)
+                _record(dataset, batches, stage, request, own)
                 recorded.add(stage.name)
             if outcome.status == "made" and not is_listed:
                 dataset.add_variant(stage.makes, batch.variant, _variant(dataset, batch, request))
                 is_listed = True
             yield replace(outcome, position=_position(batches, i_batch, outcome.item, i_task))
+
+
+def _record(dataset: Dataset, batches: Sequence[PlannedStage], stage: Stage, request: RunRequest, own: Config) -> None:
+    """Record the requested parameters of a stage, for all variants of the run."""
+    tasks = [task for batch in batches if batch.stage is stage for task in batch.tasks]
+    files = {file for task in tasks for file in named_files(stage, task.params).values()}
+    record_requested(dataset, stage, request, own, items=_items(dataset, stage, request) or (), files=files)
 
 
 def _variant(dataset: Dataset, batch: PlannedStage, request: RunRequest) -> Variant:

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bask_data.dataset import Dataset
+from bask_data.dataset import Dataset, Variant
 from bask_data.engine import PARAMS, REQUESTED, Requested, RunRequest, plan, read_requested, run_pipeline, status
 from bask_data.engine.sections import Config, laid_over, sections_for, within
 from bask_data.errors import BadData
 from bask_data.kinds import Reconstruction
 from tests.datasets import add_scan
-from tests.toy_stages import fuse, label, learn, pick
+from tests.toy_stages import fuse, label, learn, pick, weigh
 
 STAGES = (fuse, pick)
 VARIANTS, ITEMS = ("main", "big"), ("a", "b")
@@ -207,6 +207,21 @@ def test_missing_file_without_a_record_leaves_the_state_unknown(dataset: Dataset
     assert "unknown whether it is up to date: fuse: file: expected a file, got" in state.why
     assert state.blocked is not None
     assert (state.blocked.kind, state.blocked.fix) == ("file missing", "check the path.")
+
+
+def test_files_named_for_a_later_variant_are_recorded_too(dataset: Dataset, tmp_path: Path) -> None:
+    files = [tmp_path / "first", tmp_path / "second"]
+    for file in files:
+        file.write_text(file.name)
+    stages = (fuse, pick, learn, weigh)
+    dataset.add_variant(weigh.makes, "big", Variant())
+    given = {"weigh": {"file": str(files[0])}, "weigh@big": {"file": str(files[1])}}
+    outcomes = list(run_pipeline(dataset, stages, RunRequest(given=given)))
+    assert [outcome.status for outcome in outcomes[-2:]] == ["made", "made"]
+    for file in files:
+        file.unlink()
+    standings = list(status(dataset, stages, RunRequest(stages=("weigh",))))
+    assert [standing.state.status for standing in standings] == ["up to date", "up to date"]
 
 
 @pytest.mark.parametrize(
