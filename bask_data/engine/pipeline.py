@@ -19,11 +19,12 @@ from bask_data.engine.requested import (
     under_and_over_record,
     variant_names,
 )
-from bask_data.engine.sections import Config, laid_over
+from bask_data.engine.sections import Config, laid_over, of_stage
 from bask_data.engine.snapshot import Snapshot
 from bask_data.engine.state import State, state_or_blocked
 from bask_data.engine.tasks import Task, named_files, plan
 from bask_data.errors import UsageError
+from bask_data.progress import note
 
 Begin = Callable[[Position], None]
 """Called at the beginning of a stage, or of each item if items are made one after the other."""
@@ -115,7 +116,8 @@ def run_pipeline(
     """Make what is missing or stale, in order, and yield the outcome of each task as it arrives.
 
     The call plans everything before anything is made: an invalid parameter of a late stage must not cost the time of
-    the first. The requested parameters of a stage are recorded with the dataset after its first successful task.
+    the first. The requested parameters of a stage are recorded with the dataset after its first successful task; if all
+    stages were requested, also those of a stage that has nothing to process yet.
 
     Args:
         stages: all stages of the pipeline, in order; the request selects from them.
@@ -200,17 +202,31 @@ def _made(
     force: bool,
     begin: Begin,
 ) -> Iterator[Outcome]:
-    recorded: set[str] = set()
+    recorded, failed = set[str](), set[str]()
     for i_batch, batch in enumerate(batches):
         stage, is_listed = batch.stage, batch.variant == "main"
         for i_task, outcome in enumerate(_outcomes(batches, i_batch, executor, force, begin)):
             if outcome.status in ("made", "up to date") and stage.name not in recorded:
                 _record(dataset, batches, stage, request, own)
                 recorded.add(stage.name)
+            if outcome.status == "failed":
+                failed.add(stage.name)
             if outcome.status == "made" and not is_listed:
                 dataset.add_variant(stage.makes, batch.variant, _variant(dataset, batch, request))
                 is_listed = True
             yield replace(outcome, position=_position(batches, i_batch, outcome.item, i_task))
+        is_last = all(later.stage is not stage for later in batches[i_batch + 1 :])
+        if is_last and stage.name not in recorded:
+            if request.stages or stage.name in failed:
+                _note_unrecorded(stage, request)
+            else:
+                # What it reads is missing, or there is no item yet: the parameters are for when there is.
+                _record(dataset, batches, stage, request, own)
+
+
+def _note_unrecorded(stage: Stage, request: RunRequest) -> None:
+    if request.options or of_stage(request.given, stage.name):
+        note(f"{stage.name}: its parameters are not recorded with the dataset, because nothing was made with them")
 
 
 def _record(dataset: Dataset, batches: Sequence[PlannedStage], stage: Stage, request: RunRequest, own: Config) -> None:

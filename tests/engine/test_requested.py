@@ -12,7 +12,7 @@ from bask_data.dataset import Dataset, Variant
 from bask_data.engine import PARAMS, REQUESTED, Requested, RunRequest, plan, read_requested, run_pipeline, status
 from bask_data.engine.sections import Config, laid_over, sections_for, within
 from bask_data.errors import BadData
-from bask_data.kinds import Reconstruction
+from bask_data.kinds import Demonstration, Reconstruction
 from tests.datasets import add_scan
 from tests.toy_stages import fuse, label, learn, pick, weigh
 
@@ -207,6 +207,28 @@ def test_missing_file_without_a_record_leaves_the_state_unknown(dataset: Dataset
     assert "unknown whether it is up to date: fuse: file: expected a file, got" in state.why
     assert state.blocked is not None
     assert (state.blocked.kind, state.blocked.fix) == ("file missing", "check the path.")
+
+
+def test_a_run_of_all_stages_records_the_parameters_of_those_that_have_nothing_to_process_yet(
+    dataset: Dataset,
+) -> None:
+    stages, empty = (fuse, label), Dataset.create(dataset.root.with_name("later"))
+    add_scan(empty, "d", kind=Demonstration)
+    given = {"fuse": {"voxel_size": 0.2}, "label": {"scans": ["a"]}}
+    outcomes = run_pipeline(empty, stages, RunRequest(given=given))
+    assert [(outcome.label, outcome.status) for outcome in outcomes] == [("label", "blocked")]
+    assert read_requested(empty.root).parameters == given
+
+
+def test_a_failure_leaves_a_note_that_the_parameters_are_not_recorded(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    notes: list[str] = []
+    monkeypatch.setattr("bask_data.progress._note_listener", notes.append)
+    request = RunRequest(given={"fuse": {"fail": "this"}, "pick": {}})
+    assert [outcome.status for outcome in run_pipeline(dataset, STAGES, request)] == ["failed"] * 2 + ["blocked"] * 2
+    assert notes == ["fuse: its parameters are not recorded with the dataset, because nothing was made with them"]
+    assert not (dataset.root / REQUESTED).exists()
 
 
 def test_files_named_for_a_later_variant_are_recorded_too(dataset: Dataset, tmp_path: Path) -> None:
