@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bask_data.core.geometry import invert_rigid
-from bask_data.nn.augment import AugmentedView, AugmentSettings
+from bask_data.nn.augment import AugmentedView, AugmentSettings, layer
 from bask_data.nn.augment_look import random_ground, random_look
-from bask_data.nn.augment_motion import covered, layer, moved, random_affine, warped_labels
+from bask_data.nn.augment_motion import covered, moved, random_affine, warped_labels
 from bask_data.nn.rendering import drawn
 from bask_data.nn.sampling import Pair, SampleSettings, batch_of_step
 from tests.scenes import intrinsics, orbit, tabletop

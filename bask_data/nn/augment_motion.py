@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 from numpy.random import Generator
 
-from bask_data.nn.augment import AugmentSettings, Layer
+from bask_data.nn.augment import AugmentSettings
 
 
 def random_linear(
@@ -104,21 +104,3 @@ def covered(
     if (corners >= -0.5).all() and (corners <= np.array(in_size[::-1]) - 0.5).all():
         return None
     return warped_labels(np.full(in_size, 1, np.uint8), out_from_in, size) > 0
-
-
-def layer(
-    picture: UInt8[ndarray, "h w 3"],
-    out_from_picture: Float[ndarray, "2 3"],
-    shown: Bool[ndarray, "h2 w2"] | None = None,
-) -> Layer:
-    """A placed picture, halved repeatedly first if it is shown at half its size or less.
-
-    Bilinear interpolation alone would skip pixels, and fine texture would alias.
-    """
-    while np.sqrt(abs(np.linalg.det(out_from_picture[:, :2]))) < 0.51 and min(picture.shape[:2]) > 1:
-        rows, columns = picture.shape[0] // 2, picture.shape[1] // 2
-        picture = cv2.resize(picture[: 2 * rows, : 2 * columns], (columns, rows), interpolation=cv2.INTER_AREA)
-        linear = out_from_picture[:, :2]
-        # Pixel i of the halved image covers pixels 2 i and 2 i + 1: its centre is at 2 i + 0.5.
-        out_from_picture = np.column_stack([2 * linear, out_from_picture[:, 2] + linear.sum(axis=1) / 2])
-    return Layer(picture, out_from_picture, shown)

@@ -18,17 +18,9 @@ from torch import Tensor
 
 from bask_data.core.geometry import in_image
 from bask_data.nn import rendering
-from bask_data.nn.augment import AugmentedView, AugmentSettings, Layer
+from bask_data.nn.augment import AugmentedView, AugmentSettings, Layer, layer
 from bask_data.nn.augment_look import random_ground, random_look
-from bask_data.nn.augment_motion import (
-    covered,
-    layer,
-    moved,
-    pasting_affine,
-    random_affine,
-    random_window,
-    warped_labels,
-)
+from bask_data.nn.augment_motion import covered, moved, pasting_affine, random_affine, random_window, warped_labels
 
 REDRAWS = 8
 """Draws of a non-match that is too close to its match before it is discarded. Even if a tenth of the pixels are too

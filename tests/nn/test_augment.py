@@ -8,17 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bask_data.core.geometry import in_image, scale_pixels
-from bask_data.nn.augment import AugmentedView, AugmentSettings, Layer, Look
+from bask_data.nn.augment import AugmentedView, AugmentSettings, Layer, Look, layer
 from bask_data.nn.augment_look import GRAIN, _pieced, grain, grain_of, random_ground, random_look
-from bask_data.nn.augment_motion import (
-    covered,
-    layer,
-    moved,
-    pasting_affine,
-    random_affine,
-    random_window,
-    warped_labels,
-)
+from bask_data.nn.augment_motion import covered, moved, pasting_affine, random_affine, random_window, warped_labels
 from bask_data.nn.rendering import drawn
 
 SIZE = (90, 120)
