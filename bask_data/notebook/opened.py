@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -72,13 +73,13 @@ class OpenDataset:
     def scans(self) -> RecordingTable:
         """Scans by the name of their scene."""
         names = self._dataset.items("scene")
-        return RecordingTable(self.root, "scan", names, lambda name: self._recording(Scan, name))
+        return RecordingTable(self.root, "scan", names, partial(self._recording, Scan))
 
     @property
     def demonstrations(self) -> RecordingTable:
         """Demonstrations by name."""
         names = self._dataset.items("demonstration")
-        return RecordingTable(self.root, "demonstration", names, lambda name: self._recording(Demonstration, name))
+        return RecordingTable(self.root, "demonstration", names, partial(self._recording, Demonstration))
 
     def objects(self, scene: str) -> ObjectArrays:
         """The objects of a scene.
@@ -205,17 +206,26 @@ class OpenDataset:
             raise UsageError(self.root, field, expected=expected, got=name, fix=fix)
 
     def _recording(self, kind: type[Scan] | type[Demonstration], name: str) -> RecordedFrames:
-        cameras: dict[str, CameraMasks] = {}
+        return RecordedFrames(self._artifact(kind, name), _MaskReader(self, kind, name))
 
-        def mask(camera: str, i_frame: int) -> np.ndarray:
-            if kind is Demonstration:
-                got = f"the demonstration {name}"
-                raise UsageError(self.root, "mask", expected="a frame of a scan", got=got)
-            if camera not in cameras:
-                cameras[camera] = self._artifact(VisibleMasks, name).camera(camera)
-            return cameras[camera].instance(i_frame)
 
-        return RecordedFrames(self._artifact(kind, name), mask)
+class _MaskReader:
+    """The masks of a recording, opened when one is asked for. It crosses to other processes by the recording's name."""
+
+    def __init__(self, dataset: OpenDataset, kind: type[Scan] | type[Demonstration], name: str) -> None:
+        self._dataset, self._kind, self._name = dataset, kind, name
+        self._cameras: dict[str, CameraMasks] = {}
+
+    def __call__(self, camera: str, i_frame: int) -> np.ndarray:
+        if self._kind is Demonstration:
+            got = f"the demonstration {self._name}"
+            raise UsageError(self._dataset.root, "mask", expected="a frame of a scan", got=got)
+        if camera not in self._cameras:
+            self._cameras[camera] = self._dataset._artifact(VisibleMasks, self._name).camera(camera)
+        return self._cameras[camera].instance(i_frame)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _MaskReader, (self._dataset, self._kind, self._name)
 
 
 def open(root: Path | str) -> OpenDataset:

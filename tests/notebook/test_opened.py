@@ -206,6 +206,16 @@ def test_a_notebook_completes_names(ds: OpenDataset) -> None:
     assert {"rgb", "depth", "mask", "K", "world_from_camera", "time"} <= {*dir(ds.scans["table1"][0])}
 
 
+def test_recordings_cross_to_other_processes(ds: OpenDataset) -> None:
+    frames = ds.scans["table1"]
+    mask = frames[2].mask  # Masks are open.
+    scans, again, frame = pickle.loads(pickle.dumps((ds.scans, frames[1:4], frames[2])))  # noqa: S301
+    for other in (scans["table1"][2], again[1], frame):
+        np.testing.assert_array_equal(other.rgb, frames[2].rgb)
+        np.testing.assert_array_equal(other.mask, mask)
+    assert repr(again) == repr(frames[1:4]) and again[1].index == 2
+
+
 def test_frames_come_as_tensors_and_cross_to_a_worker(ds: OpenDataset) -> None:
     frames = bask.torch.Frames(ds, masks=True)
     assert len(frames) == N_FRAMES
