@@ -132,6 +132,6 @@ def _tensors(frame: RecordedFrame) -> Sample:
     return {
         "rgb": torch.from_numpy(frame.rgb.transpose(2, 0, 1).copy()),
         "depth": torch.from_numpy(frame.depth),
-        "K": torch.from_numpy(frame.K.copy()),
-        "world_from_camera": torch.from_numpy(frame.world_from_camera.copy()),
+        "K": torch.from_numpy(frame.K),
+        "world_from_camera": torch.from_numpy(frame.world_from_camera),
     }

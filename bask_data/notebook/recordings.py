@@ -69,12 +69,12 @@ class RecordedFrame:
     @property
     def K(self) -> np.ndarray:
         """Pinhole matrix (3, 3) float64, pixels; (0, 0) is the centre of the top-left pixel."""
-        return self._camera.K
+        return self._camera.K.copy()  # The camera's own is that of all its frames.
 
     @property
     def world_from_camera(self) -> np.ndarray:
         """(4, 4) float64, metres; camera x right, y down, z forward."""
-        transform: np.ndarray = self._camera.world_from_cameras[self.index]
+        transform: np.ndarray = self._camera.world_from_cameras[self.index].copy()
         return transform
 
     @property
@@ -123,7 +123,7 @@ class RecordedFrames(Sequence[RecordedFrame]):
     @property
     def K(self) -> np.ndarray:
         """Pinhole matrix (3, 3) float64 of all frames, pixels; (0, 0) is the centre of the top-left pixel."""
-        return self._camera.K
+        return self._camera.K.copy()
 
     @property
     def world_from_cameras(self) -> np.ndarray:

@@ -97,6 +97,16 @@ def test_a_frame_has_its_arrays_in_metres(ds: OpenDataset) -> None:
     assert len(ds.demonstrations["demo0"]) == N_FRAMES and ds.demonstrations["demo0"].robot is None
 
 
+def test_a_changed_array_leaves_other_frames_as_they_are(ds: OpenDataset) -> None:
+    frames, scan = ds.scans["table1"], Scan(ds.root / "scan" / "table1").camera("wrist")
+    frames[0].K[:] = frames.K[:] = 0
+    frames[0].world_from_camera[:] = frames.world_from_cameras[:] = frames.time[:] = 0
+    np.testing.assert_array_equal(frames[0].K, scan.K)
+    np.testing.assert_array_equal(frames.K, scan.K)
+    np.testing.assert_array_equal(frames[0].world_from_camera, scan.world_from_cameras[0])
+    np.testing.assert_array_equal(frames.time, scan.time)
+
+
 def test_results_are_arrays(ds: OpenDataset) -> None:
     objects = ds.objects("table1")
     assert objects.id.tolist() == [1, 2] and objects.centroid.shape == (2, 3) and (objects.extents > 0).all()
