@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable, Sequence
 from functools import partial
 from html import escape
@@ -110,7 +111,7 @@ class OpenDataset:
 
         found = self._artifact(Correspondences, scene)
         if pairs is not None:
-            pairs, n_pairs = [int(pair) for pair in np.atleast_1d(pairs)], found.pairs().num_rows
+            pairs, n_pairs = _whole_numbers(pairs, found), found.pairs().num_rows
             unknown = [str(pair) for pair in pairs if not 0 <= pair < n_pairs]
             if unknown:
                 expected = f"some of 0 to {n_pairs - 1}"
@@ -226,6 +227,16 @@ class _MaskReader:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _MaskReader, (self._dataset, self._kind, self._name)
+
+
+def _whole_numbers(pairs: Any, found: Correspondences) -> list[int]:
+    """Numbers of pairs, one or several; `UsageError` for anything else: 1.7 is no pair, and not pair 1 either."""
+    import numpy as np
+
+    try:
+        return [operator.index(pair) for pair in ([pairs] if np.ndim(pairs) == 0 else pairs)]
+    except (TypeError, ValueError):
+        raise UsageError(found.path, "pairs", expected="whole numbers", got=repr(pairs)) from None
 
 
 def open(root: Path | str) -> OpenDataset:

@@ -120,6 +120,8 @@ def test_results_are_arrays(ds: OpenDataset) -> None:
     assert matches.pairs.tolist() == sorted({*matches.pair.tolist()})
     some = ds.matches("table1", int(matches.pair[-1]))
     assert 0 < len(some) < len(matches) and {*some.pair.tolist()} == {int(matches.pair[-1])}
+    assert len(ds.matches("table1", np.array([0, 1]))) == len(ds.matches("table1", [0, 1]))
+    assert len(ds.matches("table1", [])) == 0
     track = ds.keypoints("demo0")
     assert track.names == ("tip", "rim") and track.mean.shape == (N_FRAMES, 2, 3)
     np.testing.assert_allclose(track.mean[3], 0.3)
@@ -143,6 +145,9 @@ def test_results_are_arrays(ds: OpenDataset) -> None:
         (lambda ds: ds.scans["table1"][1.5], TypeError, "frame: expected a whole number or a slice, got float 1.5"),
         (lambda ds: ds.scans["table1"][2:4][2], IndexError, "table1: frame: expected one of 0 to 1, got 2"),
         (lambda ds: ds.matches("table1", [0, 99]), UsageError, "pairs: expected some of 0 to 5, got 99"),
+        (lambda ds: ds.matches("table1", [1.7]), UsageError, r"pairs: expected whole numbers, got \[1.7\]"),
+        (lambda ds: ds.matches("table1", "x"), UsageError, "pairs: expected whole numbers, got 'x'"),
+        (lambda ds: ds.matches("table1", [[0], [1, 2]]), UsageError, "pairs: expected whole numbers, got "),
         (lambda ds: ds.scans["table1"].camera("head"), UsageError, "camera: expected one of wrist, got head"),
         (lambda ds: ds.scans["table1"][8], IndexError, "table1: frame: expected one of 0 to 7, got 8"),
         (lambda ds: ds.demonstrations["demo0"][0].mask, UsageError, "mask: expected a frame of a scan, got the demon"),
