@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
+from functools import cache
 
 SPIN_COUNT = 1000
 """Iterations of a spin at a barrier before a thread sleeps, each one pause instruction.
@@ -21,5 +23,19 @@ Chosen among 300 to 10 000 on a shared machine with two cores; `benchmarks/bench
 CHOSEN_BY_USER = ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")
 """Environment variables that control spinning in libgomp; if one of them is set, nothing is changed."""
 
+IS_TOO_LATE = "torch" in sys.modules and not any(name in os.environ for name in CHOSEN_BY_USER)
+"""Whether torch was loaded first, with its runtime's default, as by a notebook that imports both."""
+
 if "torch" not in sys.modules and not any(name in os.environ for name in CHOSEN_BY_USER):
     os.environ["GOMP_SPINCOUNT"] = str(SPIN_COUNT)
+
+
+@cache
+def warn_if_too_late() -> None:
+    """Warn once, where libgomp is torch's runtime, that training will be slow on a busy machine."""
+    if IS_TOO_LATE and sys.platform == "linux":
+        text = (
+            "torch was loaded before bask_data.nn could limit how long its threads spin, so training is slow on a busy "
+            f"machine.  fix: import bask_data.nn before torch, or set GOMP_SPINCOUNT={SPIN_COUNT}."
+        )
+        warnings.warn(text, RuntimeWarning, stacklevel=2)

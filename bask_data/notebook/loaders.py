@@ -7,6 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+# Before torch, which reads the limit of its threads' spinning when it is loaded.
+import bask_data.nn  # noqa: F401  # isort: skip
 import torch
 from torch.utils.data import Dataset as TorchDataset
 
