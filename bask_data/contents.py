@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from bask_data.artifact import Artifact, read_json
+from bask_data.artifact import Artifact
 from bask_data.dataset import Dataset
 from bask_data.kinds import Recording
 from bask_data.validate import artifacts_on_disk, total_bytes
@@ -49,6 +49,5 @@ def _holding(artifact: Artifact, dataset: Dataset) -> Holding:
 def _camera_sizes(artifact: Artifact) -> dict[str, str]:
     if not isinstance(artifact, Recording):
         return {}
-    # From the JSON documents: opening thousands of arrays with Zarr would take ten times as long.
-    shapes = {name: read_json(artifact.path / name / "depth" / "zarr.json")["shape"] for name in artifact.camera_names}
+    shapes = artifact.camera_shapes()
     return {name: f"{n_frames} x {width}x{height}" for name, (n_frames, height, width) in shapes.items()}

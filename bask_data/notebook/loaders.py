@@ -14,6 +14,7 @@ import torch
 from torch.utils.data import Dataset as TorchDataset
 
 from bask_data.errors import UsageError
+from bask_data.kinds import Scan
 from bask_data.notebook.opened import OpenDataset
 from bask_data.notebook.recordings import RecordedFrame, RecordedFrames
 from bask_data.notebook.results import MatchArrays
@@ -66,8 +67,8 @@ class FrameLoader(_Opened):
         self._places = [
             (scan, camera, i_frame)
             for scan in self.scans
-            for camera in self._dataset.scans[scan].cameras
-            for i_frame in range(len(self._frames(scan, camera)))
+            for camera, (n_frames, *_) in self._dataset.artifact(Scan, scan).camera_shapes().items()
+            for i_frame in range(n_frames)
         ]
 
     def __len__(self) -> int:

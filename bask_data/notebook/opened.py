@@ -90,7 +90,7 @@ class OpenDataset:
         """
         import numpy as np
 
-        found = self._artifact(ObjectInstances, scene)
+        found = self.artifact(ObjectInstances, scene)
         rows = tuple(found.instances)
         return ObjectArrays(
             id=np.array([row.id for row in rows], dtype=np.int64),
@@ -109,7 +109,7 @@ class OpenDataset:
         """
         import numpy as np
 
-        found = self._artifact(Correspondences, scene)
+        found = self.artifact(Correspondences, scene)
         if pairs is not None:
             pairs, n_pairs = _whole_numbers(pairs, found), found.pairs().num_rows
             unknown = [str(pair) for pair in pairs if not 0 <= pair < n_pairs]
@@ -133,7 +133,7 @@ class OpenDataset:
         Raises:
             UsageError: there is no such demonstration, or it has not been encoded yet.
         """
-        track = self._artifact(KeypointTrack, demonstration, variant)
+        track = self.artifact(KeypointTrack, demonstration, variant)
         return TrackArrays(
             names=tuple(track.names),
             filter=track.metadata.filter,
@@ -189,15 +189,26 @@ class OpenDataset:
         shown = "".join(table._repr_html_() for table in (self.scans, self.demonstrations) if table)
         return f"<p><b>{escape(repr(self))}</b></p>{shown}"
 
-    def _artifact(self, kind: type[A], item: str, variant: str = "main") -> A:
+    def artifact(self, kind: type[A], item: str = "", variant: str = "main") -> A:
+        """An artifact of the dataset, as its kind reads it.
+
+        Args:
+            kind: class of `bask_data.kinds`.
+            item: name of the scene or demonstration; empty for kinds with one artifact for the whole dataset.
+
+        Raises:
+            UsageError: there is no such item or variant, or the artifact has not been made yet.
+        """
         from bask_data.pipeline import STAGES
 
-        self._check(kind.scope, item, self._dataset.items(kind.scope))
+        if kind.scope != "dataset":
+            self._check(kind.scope, item, self._dataset.items(kind.scope))
         self._check("variant", variant, self._dataset.variants(kind))
         path = self._dataset.path(kind, item, variant)
         if not (path / MANIFEST).exists():
             makers = [stage.name for stage in STAGES if stage.makes is kind]
-            fix = f'ds.run("{makers[0]}", only="{item}")' if makers else "ingest it again."
+            only = f', only="{item}"' if item else ""
+            fix = f'ds.run("{makers[0]}"{only})' if makers else "ingest it again."
             raise UsageError(path, "", expected=kind.kind, got="none", fix=fix)
         return kind(path)
 
@@ -207,7 +218,7 @@ class OpenDataset:
             raise UsageError(self.root, field, expected=expected, got=name, fix=fix)
 
     def _recording(self, kind: type[Scan] | type[Demonstration], name: str) -> RecordedFrames:
-        return RecordedFrames(self._artifact(kind, name), _MaskReader(self, kind, name))
+        return RecordedFrames(self.artifact(kind, name), _MaskReader(self, kind, name))
 
 
 class _MaskReader:
@@ -222,7 +233,7 @@ class _MaskReader:
             got = f"the demonstration {self._name}"
             raise UsageError(self._dataset.root, "mask", expected="a frame of a scan", got=got)
         if camera not in self._cameras:
-            self._cameras[camera] = self._dataset._artifact(VisibleMasks, self._name).camera(camera)
+            self._cameras[camera] = self._dataset.artifact(VisibleMasks, self._name).camera(camera)
         return self._cameras[camera].instance(i_frame)
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -17,7 +17,7 @@ from torch.utils.data import DataLoader
 import bask_data as bask
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, UsageError
-from bask_data.kinds import Demonstration, KeypointTrack, Scan
+from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Scan
 from bask_data.notebook.opened import OpenDataset
 from tests.datasets import add_scan, publish_artifact, publish_recording
 from tests.scenes import intrinsics, orbit, tabletop
@@ -229,6 +229,19 @@ def test_recordings_cross_to_other_processes(ds: OpenDataset) -> None:
         np.testing.assert_array_equal(other.rgb, frames[2].rgb)
         np.testing.assert_array_equal(other.mask, mask)
     assert repr(again) == repr(frames[1:4]) and again[1].index == 2
+
+
+def test_frames_are_listed_without_opening_a_camera(ds: OpenDataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(Scan, "camera", lambda self, name: pytest.fail("opened"))
+        frames = bask.torch.Frames(ds)
+    assert len(frames) == N_FRAMES and frames[N_FRAMES - 1]["camera"] == "wrist"
+
+
+def test_an_artifact_is_read_as_its_kind(ds: OpenDataset) -> None:
+    assert ds.artifact(Scan, "table1").camera_shapes() == {"wrist": (N_FRAMES, HEIGHT, WIDTH)}
+    with pytest.raises(UsageError, match=r'descriptor/main: expected descriptor, got none.  fix: ds.run\("train"\)'):
+        ds.artifact(DescriptorNet)
 
 
 def test_frames_come_as_tensors_and_cross_to_a_worker(ds: OpenDataset) -> None:
