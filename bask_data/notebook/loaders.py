@@ -14,7 +14,7 @@ import torch
 from torch.utils.data import Dataset as TorchDataset
 
 from bask_data.errors import UsageError
-from bask_data.kinds import Scan
+from bask_data.kinds import Scan, VisibleMasks
 from bask_data.notebook.opened import OpenDataset
 from bask_data.notebook.recordings import RecordedFrame, RecordedFrames
 from bask_data.notebook.results import MatchArrays
@@ -33,7 +33,7 @@ class _Opened(TorchDataset[Sample]):
         if unknown:
             expected = f"some of {', '.join(known) or 'none'}"
             raise UsageError(self.root, "scans", expected=expected, got=", ".join(unknown))
-        self.scans = chosen or known
+        self.scans = tuple(dict.fromkeys(chosen)) or known
         self._recordings: dict[tuple[str, str], RecordedFrames] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -60,10 +60,12 @@ class FrameLoader(_Opened):
             masks: give masks, too.
 
         Raises:
-            UsageError: there is no such scan.
+            UsageError: there is no such scan, or it has no masks yet.
         """
         super().__init__(dataset, scans)
         self.masks = masks
+        for scan in self.scans if masks else ():
+            self._dataset.artifact(VisibleMasks, scan)  # Refuses a scan without masks before the first epoch.
         self._places = [
             (scan, camera, i_frame)
             for scan in self.scans

@@ -172,8 +172,9 @@ def test_what_is_not_there_is_said_with_what_is(ds: OpenDataset, asked, error, m
 def test_what_has_not_been_made_is_said_with_how_to(tmp_path: Path) -> None:
     dataset = Dataset.create(tmp_path / "d")
     recorded(dataset, "table1", Scan)
-    with pytest.raises(UsageError, match=r'expected masks, got none.  fix: ds.run\("masks", only="table1"\)'):
-        _ = bask.open(dataset.root).scans["table1"][0].mask
+    for asked in (lambda ds: ds.scans["table1"][0].mask, lambda ds: bask.torch.Frames(ds, masks=True)):
+        with pytest.raises(UsageError, match=r'expected masks, got none.  fix: ds.run\("masks", only="table1"\)'):
+            asked(bask.open(dataset.root))
 
 
 def test_everything_says_what_is_inside(ds: OpenDataset) -> None:
@@ -245,8 +246,8 @@ def test_an_artifact_is_read_as_its_kind(ds: OpenDataset) -> None:
 
 
 def test_frames_come_as_tensors_and_cross_to_a_worker(ds: OpenDataset) -> None:
-    frames = bask.torch.Frames(ds, masks=True)
-    assert len(frames) == N_FRAMES
+    frames = bask.torch.Frames(ds, ["table1", "table1"], masks=True)
+    assert len(frames) == N_FRAMES  # Named twice, a scan counts once.
     frame = ds.scans["table1"][3]
     again = pickle.loads(pickle.dumps(frames))  # noqa: S301
     for one in (frames[3], again[3]):
