@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from bask_data.artifact import Artifact, Metadata, TableSpec, write_group
+from bask_data.artifact import REMAKE, Artifact, Metadata, TableSpec, write_group
+from bask_data.errors import BadData
 from bask_data.kinds.tables import arrow_schema, read_table
 
 if TYPE_CHECKING:
     import numpy as np
     import pyarrow as pa
+    import pyarrow.parquet as pq
 
 Rejection = Literal[
     "outside_b",
@@ -114,6 +117,50 @@ class Correspondences(Artifact):
         """Matches of all pairs, or of the given ones, sorted by pair."""
         filters = None if pairs is None else [("pair", "in", [int(pair) for pair in pairs])]
         return read_table(self, "matches.parquet", filters=filters)
+
+    def matches_of_pair(self, pair: int) -> pa.Table:
+        """Matches of one pair, from the row group that holds them: for readers of single pairs in any order.
+
+        Raises:
+            BadData: the tables are unreadable, or contradict each other.
+        """
+        import numpy as np
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        file, (rows_begin, groups_begin, footer) = self.path / "matches.parquet", self._layout
+        begin, end = rows_begin[pair], rows_begin[pair + 1]
+        if begin == end:
+            return arrow_schema(self.tables[file.name]).empty_table()
+        i_group = int(np.searchsorted(groups_begin, begin, side="right")) - 1
+        try:
+            with pq.ParquetFile(file, metadata=footer, page_checksum_verification=True) as stored:
+                group = stored.read_row_group(i_group, use_threads=False)
+        except (OSError, pa.ArrowException) as error:
+            raise BadData(file, "", expected="a Parquet table", got=str(error), fix=REMAKE) from error
+        rows = group.slice(begin - groups_begin[i_group], end - begin)
+        if rows.num_rows != end - begin or not (rows["pair"].to_numpy() == pair).all():
+            raise BadData(file, "pair", expected=f"{end - begin} rows of pair {pair}", got="others", fix=REMAKE)
+        return rows
+
+    @cached_property
+    def _layout(self) -> tuple[np.ndarray, np.ndarray, pq.FileMetaData]:
+        """First row of each pair and of each row group, both with the end, and the footer of the matches."""
+        import numpy as np
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        file, n_by_pair = self.path / "matches.parquet", self.pairs()["n_matches"].to_numpy()
+        try:
+            footer = pq.read_metadata(file)
+        except (OSError, pa.ArrowException) as error:
+            raise BadData(file, "", expected="a Parquet table", got=str(error), fix=REMAKE) from error
+        if not footer.schema.to_arrow_schema().equals(arrow_schema(self.tables[file.name])):
+            raise BadData(file, "columns", expected=str([*self.tables[file.name].columns]), got="others", fix=REMAKE)
+        if footer.num_rows != n_by_pair.sum():
+            raise BadData(file, "", expected=f"{n_by_pair.sum()} rows", got=str(footer.num_rows), fix=REMAKE)
+        n_by_group = [footer.row_group(i).num_rows for i in range(footer.num_row_groups)]
+        return np.cumsum([0, *n_by_pair]), np.cumsum([0, *n_by_group]), footer
 
     def rejections(self) -> pa.Table:
         """Numbers of rejected pixels by pair, object and reason."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,10 +14,12 @@ import torch
 from torch.utils.data import Dataset as TorchDataset
 
 from bask_data.errors import UsageError
-from bask_data.kinds import Scan, VisibleMasks
+from bask_data.kinds import Correspondences, Scan, VisibleMasks
 from bask_data.notebook.opened import OpenDataset
 from bask_data.notebook.recordings import RecordedFrame, RecordedFrames
-from bask_data.notebook.results import MatchArrays
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 Sample = dict[str, Any]
 
@@ -89,8 +91,9 @@ class FrameLoader(_Opened):
 class MatchLoader(_Opened):
     """Pairs of frames with `n` matches each, as tensors.
 
-    A sample has for both frames, `_a` and `_b`, what one of `FrameLoader` has without masks, `uv_a` and `uv_b` (n, 2)
-    float32 pixels, and `instance` (n,) of the object that each match is on. Which matches depends on the seed and the
+    A sample has `scan`, `pair`, `instance` (n,) uint8, the object that each match is on, and for both frames, `_a` and
+    `_b`: `uv` (n, 2) float32 pixels, and `rgb`, `depth`, `K`, `world_from_camera`, `camera` and `frame` as one of
+    `FrameLoader`. Which matches depends on the seed and the
     sample alone, not on workers or on the order of reading.
     """
 
@@ -108,30 +111,38 @@ class MatchLoader(_Opened):
         """
         super().__init__(dataset, scans)
         self.n, self.seed = n, seed
-        self._pairs = [(scan, int(pair)) for scan in self.scans for pair in self._dataset.matches(scan).pairs]
+        # Once in each process, and as arrays: a dataset may have a million pairs.
+        self._stored = {scan: self._dataset.artifact(Correspondences, scan) for scan in self.scans}
+        self._pair_rows = {scan: _columns(stored.pairs()) for scan, stored in self._stored.items()}
+        with_matches = [np.flatnonzero(self._pair_rows[scan]["n_matches"]) for scan in self.scans]
+        of_scan = np.repeat(np.arange(len(self.scans)), [len(pairs) for pairs in with_matches])
+        self._pairs = np.stack([of_scan, np.concatenate([*with_matches, np.zeros(0, np.int64)])], axis=1)
 
     def __len__(self) -> int:
         return len(self._pairs)
 
     def __getitem__(self, i: int) -> Sample:
-        scan, pair = self._pairs[i]
-        found = self._dataset.matches(scan, pair)
+        i_scan, pair = (int(number) for number in self._pairs[i])
+        scan = self.scans[i_scan]
+        row, matches = self._pair_rows[scan], _columns(self._stored[scan].matches_of_pair(pair))
+        n_matches = len(matches["pair"])
         rng = np.random.default_rng((self.seed, i % len(self)))
-        chosen = rng.choice(len(found), self.n, replace=len(found) < self.n)
-        sample: Sample = {"scan": scan, "pair": pair, "instance": torch.from_numpy(found.instance[chosen])}
-        for side, uv, frame in zip("ab", (found.uv_a, found.uv_b), self._views(scan, found, pair), strict=True):
-            sample |= {f"{name}_{side}": value for name, value in _tensors(frame).items()}
-            sample[f"uv_{side}"] = torch.from_numpy(uv[chosen])
+        chosen = rng.choice(n_matches, self.n, replace=n_matches < self.n)
+        sample: Sample = {"scan": scan, "pair": pair, "instance": torch.from_numpy(matches["instance"][chosen])}
+        for side in "ab":
+            camera, i_frame = str(row[f"camera_{side}"][pair]), int(row[f"frame_{side}"][pair])
+            uv = np.stack([matches[f"u_{side}"][chosen], matches[f"v_{side}"][chosen]], axis=1)
+            view = {"uv": torch.from_numpy(uv), "camera": camera, "frame": i_frame}
+            view |= _tensors(self._frames(scan, camera)[i_frame])
+            sample |= {f"{name}_{side}": value for name, value in view.items()}
         return sample
-
-    def _views(self, scan: str, found: MatchArrays, pair: int) -> tuple[RecordedFrame, RecordedFrame]:
-        return (
-            self._frames(scan, str(found.camera_a[pair]))[int(found.frame_a[pair])],
-            self._frames(scan, str(found.camera_b[pair]))[int(found.frame_b[pair])],
-        )
 
     def __repr__(self) -> str:
         return f"<{len(self)} pairs of frames with {self.n} matches each, of {', '.join(self.scans)}, seed {self.seed}>"
+
+
+def _columns(table: pa.Table) -> dict[str, np.ndarray]:
+    return {name: table[name].to_numpy() for name in table.column_names}
 
 
 def _tensors(frame: RecordedFrame) -> Sample:

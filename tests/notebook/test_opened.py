@@ -17,7 +17,7 @@ from torch.utils.data import DataLoader
 import bask_data as bask
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, UsageError
-from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Scan
+from bask_data.kinds import Correspondences, Demonstration, DescriptorNet, KeypointTrack, Scan
 from bask_data.notebook.opened import OpenDataset
 from tests.datasets import add_scan, publish_artifact, publish_recording
 from tests.scenes import intrinsics, orbit, tabletop
@@ -272,6 +272,23 @@ def test_samples_and_their_order_do_not_depend_on_workers(ds: OpenDataset, conte
     for one, other in zip(here, there, strict=True):
         for name, value in one.items():
             assert torch.equal(value, other[name]) if isinstance(value, torch.Tensor) else value == other[name], name
+
+
+def test_a_sample_of_matches_has_both_frames(ds: OpenDataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames, matches = bask.torch.Frames(ds), bask.torch.Matches(ds, n=4)
+    of_both = {f"{name}_{side}" for name in {*frames[0], "uv"} - {"scan"} for side in "ab"}
+    assert {*matches[0]} == {"scan", "pair", "instance"} | of_both
+    stored = ds.matches("table1")
+    with monkeypatch.context() as patched:  # A sample reads neither table as a whole.
+        patched.setattr(Correspondences, "pairs", lambda self: pytest.fail("read again"))
+        patched.setattr(Correspondences, "matches", lambda self, pairs=None: pytest.fail("read as a whole"))
+        again = pickle.loads(pickle.dumps(matches))  # noqa: S301
+        samples = [again[i] for i in (*range(len(matches)), -1)]
+    for sample in samples:
+        assert (sample["camera_b"], sample["frame_b"]) == ("wrist", stored.frame_b[sample["pair"]])
+        frame = frames[sample["frame_b"]]
+        for name in ("rgb", "depth", "K", "world_from_camera"):
+            assert torch.equal(sample[f"{name}_b"], frame[name])
 
 
 def test_matches_are_the_same_for_the_same_seed_wherever_they_are_read(ds: OpenDataset) -> None:
