@@ -126,5 +126,5 @@ def alpha_of_one_frame(filter: str, name: SettingsName = "default", alpha: float
     """
     if filter not in FILTERS or (alpha is None and not filter_named(filter).alpha_is_of_one_frame):
         return None
-    found: float | None = alpha or getattr(settings_named(filter, name), "alpha", None)
+    found: float | None = getattr(settings_named(filter, name), "alpha", None) if alpha is None else alpha
     return found

@@ -133,6 +133,7 @@ def test_a_filter_that_is_not_in_the_table_is_refused() -> None:
         ("expectation", "paper", None, 4.0),
         ("discrete", "default", None, 4.0),
         ("discrete", "default", 7.0, 7.0),
+        ("discrete", "default", 0.0, 0.0),
         ("particle", "default", None, None),
         ("particle", "default", 7.0, 7.0),
         ("truth", "default", 7.0, None),
