@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from bask_data.tracker import KeypointTracker as KeypointTracker
 
 __version__ = "0.1.0"
-__all__ = ["KeypointTracker", "__version__", "open", "torch"]
+# Without `open` and `torch`: a star must neither replace a builtin nor load torch.
+__all__ = ["KeypointTracker", "__version__"]
 
 # Every import of a module imports this package, and the modules behind these names are slow to import.
 _LAZY = {"KeypointTracker": "bask_data.tracker", "open": "bask_data.notebook.opened", "torch": ""}
@@ -26,4 +27,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *_LAZY})

@@ -72,8 +72,13 @@ def test_importing_the_package_imports_nothing_that_takes_long() -> None:
     code = f"import bask_data, sys; dir(bask_data); sys.exit([name for name in {heavy} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.returncode == 1 and done.stderr.strip() == "[]") or done.returncode == 0, done.stderr
-    assert {*bask.__all__} <= {*dir(bask)} and "open" in bask.__all__
-    assert all(getattr(bask, name) for name in bask.__all__)
+    assert {*bask.__all__, "open", "torch"} <= {*dir(bask)}
+    assert all(getattr(bask, name) for name in (*bask.__all__, "open", "torch"))
+
+
+def test_a_star_leaves_the_builtin_open_and_does_not_load_torch() -> None:
+    code = "import builtins, sys; from bask_data import *; assert open is builtins.open and 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", f"{code}; KeypointTracker"], check=True)
 
 
 def test_a_frame_has_its_arrays_in_metres(ds: OpenDataset) -> None:
