@@ -141,11 +141,12 @@ class Desk:
     def matches(self, request: MatchesRequest) -> dict[str, Any]:
         """Best match (u, v, distance) of each keypoint in each requested frame; None without descriptors."""
         marks = self.draft.marks
-        self._descriptors = {mark: self._descriptor(mark) for mark in marks}
+        # Its own: another request with other marks may replace the desk's meanwhile.
+        descriptors = self._descriptors = {mark: self._descriptor(mark) for mark in marks}
         matches: list[list[list[float]] | None] = []
         for frame in request.frames:
             if self.gallery.is_described(frame):
-                results = [self.gallery.find(self._descriptors[mark], frame) for mark in marks]
+                results = [self.gallery.find(descriptors[mark], frame) for mark in marks]
                 matches.append([[*result.best, result.z_best] for result in results])
             else:
                 matches.append(None)

@@ -17,6 +17,7 @@ from bask_data.errors import MissingDependency, UsageError
 from bask_data.picker.desk import Desk
 from bask_data.picker.draft import Draft, KeypointMark
 from bask_data.picker.gallery import Gallery
+from bask_data.picker.requests import EditRequest, MatchesRequest
 from bask_data.picker.server import MOST_BODY_BYTES, listen, serve
 from bask_data.progress import progress
 from tests.picker.pickable import HEIGHT, WIDTH, frame, recordings_of, untrained
@@ -323,6 +324,23 @@ def test_all_keypoints_are_searched_in_frames_with_descriptors(served) -> None:
     served.answer("edit", do="move", name="point_1", at={**AT, "u": 20.5, "v": 50.5})
     [own] = served.answer("matches", frames=[["a", "wrist", 0]])["frames"]
     np.testing.assert_allclose(own[0], [20.5, 50.5, 0], atol=2e-3)
+
+
+def test_keypoints_may_change_while_they_are_searched(served, monkeypatch) -> None:
+    served.answer("edit", do="add", at=AT)
+    served.answer("edit", do="add", at={**AT, "u": 60.0})
+    desk, find = served.desk, served.desk.gallery.find
+    request = MatchesRequest(frames=(frame("a", 0),))
+    desk.gallery.describe(frame("a", 0))
+
+    def interrupted(*asked):
+        monkeypatch.setattr(desk.gallery, "find", find)
+        desk.edit(EditRequest(do="delete", name="point_2"))
+        assert desk.matches(request)["names"] == ["point_1"]
+        return find(*asked)
+
+    monkeypatch.setattr(desk.gallery, "find", interrupted)
+    assert desk.matches(request)["names"] == ["point_1", "point_2"]
 
 
 def test_pictures_are_sent_as_jpeg(served) -> None:
