@@ -98,7 +98,6 @@ def _desk(picking: Picking, task: Task, file: Path, say: Callable[[str], None]) 
 
     def save(marks: Sequence[KeypointMark]) -> tuple[str, str]:
         picking.outcomes[:] = [_saved(picking, [as_text(Pick(**mark.model_dump())) for mark in marks])]
-        draft.drop()
         return f"{len(marks)} keypoints saved as {task.target.relative_to(dataset.root)}", picking.following
 
     gallery = Gallery(recordings, network)

@@ -169,13 +169,17 @@ class Desk:
 
     def save(self, request: EmptyRequest) -> dict[str, Any]:
         """Make the artifact from the draft; `UsageError` without keypoints."""
-        with self.jobs.running("save", can_cancel=False), self._editing:
-            marks = self.draft.marks
+        with self.jobs.running("save", can_cancel=False):
+            with self._editing:
+                marks = self.draft.marks
             if not marks:
                 raise UsageError("save", "", expected="a keypoint", got="none", fix="click on one first.")
+            # The draft is free meanwhile: each click that waited for it would occupy a thread of the server.
             summary, following = self._save(marks)
-            self._saved = marks
-            return {"summary": summary, "next": following, **self.state()}
+            with self._editing:
+                self._saved = marks
+                self.draft.drop(marks)
+                return {"summary": summary, "next": following, **self.state()}
 
     def progress(self, request: EmptyRequest) -> dict[str, Any]:
         """State of the running job."""

@@ -135,9 +135,10 @@ class Draft:
             *redo, last = self._kept.redo
             self._keep(_File(marks=last, undo=[*self._kept.undo, self.marks], redo=redo))
 
-    def drop(self) -> None:
-        """Delete the file, after its marks have been saved."""
-        self._file.unlink(missing_ok=True)
+    def drop(self, saved: Marks) -> None:
+        """Delete the file after these marks have been saved, unless the draft has others by then."""
+        if saved == self.marks:
+            self._file.unlink(missing_ok=True)
 
     def _replace(self, name: str, change: Callable[[KeypointMark], KeypointMark]) -> None:
         self.find(name)

@@ -96,7 +96,7 @@ def test_dropping_a_draft_deletes_its_file(file: Path) -> None:
     draft = Draft(file)
     draft.add([mark("rim")])
     assert not Draft(file).is_new
-    draft.drop()
+    draft.drop(draft.marks)
     assert Draft(file).is_new
     assert names(draft) == ["rim"]
 

@@ -401,6 +401,28 @@ def test_saving_reports_its_result_and_a_later_change_is_unsaved(served) -> None
     assert served.answer("edit", do="undo")["is_saved"] is True
 
 
+def test_the_draft_can_be_edited_while_it_is_saved(served, tmp_path, monkeypatch) -> None:
+    reached, edited = threading.Event(), threading.Event()
+
+    def slow(marks: tuple[KeypointMark, ...]) -> tuple[str, str]:
+        reached.set()
+        assert edited.wait(30)
+        return save(marks)
+
+    monkeypatch.setattr(served.desk, "_save", slow)
+    served.answer("edit", do="add", at=AT)
+    with ThreadPoolExecutor() as executor:
+        saving = executor.submit(served.answer, "save")
+        assert reached.wait(30)
+        assert executor.submit(served.answer, "edit", do="add", at=AT).result(5)["is_saved"] is False
+        edited.set()
+        found = saving.result(30)
+    assert ([len(marks) for marks in SAVED], len(found["marks"]), found["is_saved"]) == ([1], 2, False)
+    assert len(Draft(tmp_path / "picks.json").marks) == 2  # What was not saved survives the end of the command.
+    assert served.answer("save")["is_saved"] is True
+    assert not (tmp_path / "picks.json").exists()
+
+
 def test_keypoints_that_cannot_be_saved_are_kept_and_the_error_is_shown(served) -> None:
     served.answer("edit", do="add", at=AT, name="broken")
     status, text = served.ask("save")
