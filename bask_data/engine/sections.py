@@ -32,11 +32,11 @@ def laid_over(
     Args:
         variants: names that denote variants in `stage@name`; every other name is an item.
     """
-    laid = of_stage(below, stage)
+    laid = _Layers(of_stage(below, stage), variants)
     for section in sorted(of_stage(above, stage), key=lambda name: _width(name, variants)):
         for field, value in above[section].items():
-            _assign(laid, section, field, value, variants)
-    return {section: values for section, values in laid.items() if values}
+            laid.assign(section, field, value)
+    return laid.filled()
 
 
 def within(
@@ -53,18 +53,19 @@ def within(
         scope_items: items of these artifacts; None for all.
         variants: as for `laid_over`.
     """
-    narrowed: Config = {}
+    narrowed = _Layers({}, variants)
+    chosen = None if scope_items is None else set(scope_items)
     for section in sorted(of_stage(config, stage), key=lambda name: _width(name, variants)):
         variant, item = _names(section, variants)
         if variant and scope_variants is not None and variant not in scope_variants:
             continue
-        if item and scope_items is not None and item not in scope_items:
+        if item and chosen is not None and item not in chosen:
             continue
         for narrow in _sections(stage, [variant] if variant else scope_variants, [item] if item else scope_items):
             for field, value in config[section].items():
                 # In order of width: a value for an item in all variants overrides one for a variant.
-                _assign(narrowed, narrow, field, value, variants)
-    return {section: values for section, values in narrowed.items() if values}
+                narrowed.assign(narrow, field, value)
+    return narrowed.filled()
 
 
 def _sections(stage: str, variants: Sequence[str] | None, items: Sequence[str] | None) -> list[str]:
@@ -88,23 +89,55 @@ def _width(section: str, variants: Collection[str]) -> int:
     return bool(variant) + 2 * bool(item)
 
 
-def _assign(laid: Config, section: str, field: str, value: Any, variants: Collection[str]) -> None:
-    """Set a field for all artifacts of a section, and for no others."""
-    variant, item = _names(section, variants)
-    width = _width(section, variants)
-    narrower = [
-        other
-        for other, values in laid.items()
-        if field in values
-        and _width(other, variants) > width
-        and (not item or _names(other, variants)[1] == item)
-        and (not variant or _names(other, variants)[0] in ("", variant))
-    ]
-    of_all_variants = [other for other in narrower if variant and not _names(other, variants)[0]]
-    for other in narrower:
-        if other not in of_all_variants:
-            del laid[other][field]
-    for other in of_all_variants:
-        # A value for an item in all variants overrides one for this variant, unless it is for both.
-        laid.setdefault(f"{section}@{_names(other, variants)[1]}", {})[field] = value
-    laid.setdefault(section, {})[field] = value
+class _Layers:
+    """Sections of a stage, to which further parameters are assigned.
+
+    Indexed by item: there may be a section for each of thousands of items, and most assignments concern one of them.
+    """
+
+    def __init__(self, sections: Config, variants: Collection[str]) -> None:
+        self._sections, self._variants = sections, variants
+        self._of_item: dict[str, set[str]] = {}
+        for section in sections:
+            self._index(section)
+
+    def filled(self) -> Config:
+        """The sections that set a parameter."""
+        return {section: values for section, values in self._sections.items() if values}
+
+    def assign(self, section: str, field: str, value: Any) -> None:
+        """Set a field for all artifacts of a section, and for no others."""
+        variant, item = _names(section, self._variants)
+        of_all_variants = []
+        for other in self._narrower(section, variant, item):
+            of_variant, of_item = _names(other, self._variants)
+            if field not in self._sections[other]:
+                continue
+            if variant and not of_variant:
+                of_all_variants.append(of_item)
+            else:
+                del self._sections[other][field]
+        for of_item in of_all_variants:
+            # A value for an item in all variants overrides one for this variant, unless it is for both.
+            self._set(f"{section}@{of_item}", field, value)
+        self._set(section, field, value)
+
+    def _narrower(self, section: str, variant: str, item: str) -> list[str]:
+        width = _width(section, self._variants)
+        return [
+            other
+            for other in (self._of_item.get(item, ()) if item else self._sections)
+            if _width(other, self._variants) > width
+            and (not variant or _names(other, self._variants)[0] in ("", variant))
+        ]
+
+    def _set(self, section: str, field: str, value: Any) -> None:
+        if section not in self._sections:
+            self._sections[section] = {}
+            self._index(section)
+        self._sections[section][field] = value
+
+    def _index(self, section: str) -> None:
+        _, item = _names(section, self._variants)
+        if item:
+            self._of_item.setdefault(item, set()).add(section)

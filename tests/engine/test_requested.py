@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import time
 from itertools import product
 from pathlib import Path
 
@@ -325,3 +326,13 @@ def test_sections_within_a_scope_are_equal_inside_and_empty_outside(
     for variant, item in product(VARIANTS, ITEMS):
         inside = (variants is None or variant in variants) and (items is None or item in items)
         assert resolved(narrowed, variant, item) == (resolved(config, variant, item) if inside else {})
+
+
+def test_sections_for_each_of_thousands_of_items_are_merged_in_no_time() -> None:
+    items = [f"a{i}" for i in range(4000)]
+    sections = {f"s@{item}": {"x": i} for i, item in enumerate(items)}
+    begun = time.process_time()
+    assert laid_over(sections, sections, "s", VARIANTS) == sections
+    assert within(sections, "s", None, items, VARIANTS) == sections
+    assert laid_over(sections, {"s": {"x": 0}}, "s", VARIANTS) == {"s": {"x": 0}}
+    assert time.process_time() - begun < 2
