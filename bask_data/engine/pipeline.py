@@ -12,6 +12,7 @@ from bask_data.engine.declare import Stage
 from bask_data.engine.making import Outcome, Position, predicted, run
 from bask_data.engine.params_file import own_parameters
 from bask_data.engine.requested import (
+    REQUESTED,
     Requested,
     RunRequest,
     read_requested,
@@ -77,7 +78,8 @@ def planned(dataset: Dataset, stages: Sequence[Stage], request: RunRequest) -> l
     if request.only:
         dataset.select(request.only)
     own = {} if request.ignores_own_file else own_parameters(dataset.root, stages)
-    requested = read_requested(dataset.root, stages)
+    requested = read_requested(dataset.root)
+    _note_unknown_sections(requested, names)
     if request.replaces:
         requested = Requested(files=requested.files)
     older, newer = under_and_over_record(own, requested)
@@ -101,6 +103,12 @@ def planned(dataset: Dataset, stages: Sequence[Stage], request: RunRequest) -> l
             )
             batches.append(PlannedStage(stage, variant, tasks))
     return batches
+
+
+def _note_unknown_sections(requested: Requested, stages: Sequence[str]) -> None:
+    unknown = [section for section in requested.parameters if section.partition("@")[0] not in stages]
+    if unknown:
+        note(f"{REQUESTED}: no stage has these sections, which are ignored: {', '.join(unknown)}")
 
 
 def run_pipeline(

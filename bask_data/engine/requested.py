@@ -77,11 +77,10 @@ class RunRequest:
     ignores_own_file: bool = False
 
 
-def read_requested(root: Path, stages: Iterable[Stage] = ()) -> Requested:
+def read_requested(root: Path) -> Requested:
     """The requested parameters of the dataset at `root`; empty if there is no such file.
 
-    Args:
-        stages: all stages, to refuse sections of others; if empty, sections of any name pass.
+    Sections of unknown stages are kept: another version may have written them.
 
     Raises:
         BadData: the file is too large, not JSON, or has invalid content.
@@ -98,10 +97,9 @@ def read_requested(root: Path, stages: Iterable[Stage] = ()) -> Requested:
         raise BadData(file, name, expected=expected, got=came, fix=_RESTORE) from error
     except ValueError as error:
         raise BadData(file, "", expected="finite numbers", got=str(error), fix=_RESTORE) from error
-    known = [stage.name for stage in stages]
     for section in [*requested.parameters, *requested.overridden]:
-        if not _SECTION.fullmatch(section) or (known and section.partition("@")[0] not in known):
-            expected = f"one of {', '.join(known)}" if known else "stage, stage@name or stage@variant@item"
+        if not _SECTION.fullmatch(section):
+            expected = "stage, stage@name or stage@variant@item"
             raise BadData(file, "parameters", expected=expected, got=section[:80], fix=_RESTORE)
     return requested
 

@@ -37,7 +37,7 @@ def stale(dataset: Dataset) -> list[str]:
 
 
 def parameters(dataset: Dataset) -> Config:
-    return read_requested(dataset.root, STAGES).parameters
+    return read_requested(dataset.root).parameters
 
 
 def voxel_sizes(dataset: Dataset) -> list[float]:
@@ -174,7 +174,7 @@ def test_options_of_a_variant_are_its_own(dataset: Dataset) -> None:
     options = {"scans": ["a"], "described": False}
     request = RunRequest(stages=("label",), variant="few", options=options)
     assert [outcome.status for outcome in run_pipeline(dataset, stages, request)] == ["made"]
-    assert read_requested(dataset.root, stages).parameters == {"label@few": options}
+    assert read_requested(dataset.root).parameters == {"label@few": options}
     assert list(dataset.variants(label.makes)) == ["main", "few"]
     states = {
         standing.variant: standing.state.status for standing in status(dataset, stages, RunRequest(stages=("label",)))
@@ -256,8 +256,8 @@ def test_files_named_for_a_later_variant_are_recorded_too(dataset: Dataset, tmp_
         ('{"parameters": {"fuse": 1}}', "parameters.fuse: expected values by name, got 1"),
         ('{"parameters": {"fuse": {"voxel_size": NaN}}}', "expected finite numbers"),
         ('{"parameters": {"fuse": {"voxel_size": ' + "[" * 400 + "]" * 400 + "}}}", "requested.json"),
-        ('{"parameters": {"other": {}}}', "parameters: expected one of fuse, pick, got other"),
-        ('{"parameters": {"fuse@../x": {}}}', "parameters: expected one of fuse, pick, got fuse@../x"),
+        ('{"parameters": {"fuse@../x": {}}}', "parameters: expected stage, stage@name .*, got fuse@../x"),
+        ('{"overridden": {"fuse@../x": {}}}', "parameters: expected stage, stage@name .*, got fuse@../x"),
         ('{"files": {"a": "no digest"}}', "files.a: expected"),
         ('{"more": 1}', "more: expected no field of that name"),
     ],
@@ -265,8 +265,21 @@ def test_files_named_for_a_later_variant_are_recorded_too(dataset: Dataset, tmp_
 def test_record_with_invalid_content_is_refused(dataset: Dataset, text: str, message: str) -> None:
     (dataset.root / REQUESTED).write_text(text)
     with pytest.raises(BadData, match=message) as caught:
-        read_requested(dataset.root, STAGES)
+        read_requested(dataset.root)
     assert str(dataset.root / REQUESTED) in str(caught.value)
+
+
+def test_sections_of_unknown_stages_are_kept_and_ignored_with_a_note(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    notes: list[str] = []
+    monkeypatch.setattr("bask_data.progress._note_listener", notes.append)
+    (dataset.root / REQUESTED).write_text(json.dumps({"parameters": {"polish": {"grit": 240}}}))
+    assert made(dataset, options={"voxel_size": 0.2}) == ["made", "made"]
+    assert notes == ["requested.json: no stage has these sections, which are ignored: polish"]
+    assert parameters(dataset) == {"fuse": {"voxel_size": 0.2}, "polish": {"grit": 240}}
+    assert made(dataset, replaces=True) == ["made", "made"]
+    assert parameters(dataset) == {"polish": {"grit": 240}}
 
 
 @pytest.mark.parametrize(
