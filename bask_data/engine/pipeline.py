@@ -75,6 +75,11 @@ def planned(dataset: Dataset, stages: Sequence[Stage], request: RunRequest) -> l
         raise UsageError(
             "run", "options", expected="exactly one stage with options", got=", ".join(request.stages) or "all"
         )
+    for stage in stages:
+        if stage.name in request.stages and request.variant not in (None, "main") and not stage.makes.has_variants:
+            having = ", ".join(other.name for other in stages if other.makes.has_variants)
+            fix = f"variants are made by {having}."
+            raise UsageError(stage.name, "variant", expected="no variant", got=request.variant, fix=fix)
     if request.only:
         dataset.select(request.only)
     own = {} if request.ignores_own_file else own_parameters(dataset.root, stages)

@@ -61,6 +61,10 @@ def test_only_requested_scenes_and_stages_are_made(dataset: Dataset) -> None:
     ("request_", "message"),
     [
         (RunRequest(stages=("fusing",)), "stages: expected some of fuse, pick, learn, got fusing"),
+        (
+            RunRequest(stages=("fuse",), variant="big"),
+            "fuse: variant: expected no variant, got big.  fix: variants are made by learn.",
+        ),
         (RunRequest(only=("c",)), "--only: expected one of a, b, got c"),
         (RunRequest(options={"voxel_size": 1}), "options: expected exactly one stage with options, got all"),
     ],
