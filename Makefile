@@ -16,7 +16,7 @@ help:
 	@echo "make test       setup and the test suite"
 	@echo "make test-slow  the tests that take long"
 	@echo "make test-lerobot  the LeRobot export, read by the lerobot package in an environment of its own (8 GB)"
-	@echo "make check      formatting, lint, types, layers, rendered files, documentation"
+	@echo "make check      formatting, lint, types, layers, structure, rendered files, documentation"
 	@echo "make docs       the documentation as a site: build/docs/index.html"
 	@echo "make benchmark  how fast each stage is, against a plain way of doing the same"
 	@echo "make accuracy   how right masks and matches are, on simulated, ray-cast and real scenes (half an hour)"
@@ -48,6 +48,7 @@ check: setup docs
 	$(VENV)/ruff check .
 	$(VENV)/mypy
 	$(VENV)/lint-imports
+	$(VENV)/python .ci/structure.py
 	$(VENV)/python -m bask_data.schemas --check
 	$(VENV)/python -m tests.cli.help_texts --check
 	@set -e; for file in $(wildcard pipelines/*/dataset.json); do \

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from bask_data.dataset import Dataset
-from bask_data.drawing.pictures import mask_picture
+from bask_data.drawing.mask_pictures import mask_picture
 from bask_data.kinds import Scan, VisibleMasks
 
 HERE = Path(__file__).parent

@@ -8,7 +8,9 @@ import cv2
 import numpy as np
 
 from bask_data.dataset import Dataset
-from bask_data.drawing.pictures import Mark, marks_picture, mask_picture, palette
+from bask_data.drawing.colours import palette
+from bask_data.drawing.mask_pictures import mask_picture
+from bask_data.drawing.pictures import Mark, marks_picture
 from bask_data.kinds import Demonstration, KeypointTrack, ReferenceKeypoints, Scan, VisibleMasks
 
 HERE = Path(__file__).parent

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from bask_data.drawing.pictures import palette
+from bask_data.drawing.colours import palette
 from bask_data.sim.experts import demonstrate
 from bask_data.sim.options import TASKS, SimOptions
 from bask_data.sim.rendering import Renderer, View

@@ -110,3 +110,8 @@ def test_a_number_without_a_word_is_found(number: str) -> None:
 )
 def test_a_number_with_a_word_and_what_is_no_number_are_not_found(text: str) -> None:
     assert findings("silent_numbers", a=text) == []
+
+
+def test_the_package_keeps_the_rules() -> None:
+    modules = structure.read(FILE.parent.parent / "bask_data")
+    assert [finding for rule in structure.RULES for finding in rule(modules)] == []

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bask_data.core.geometry import in_image, invert_rigid, project, transform
-from bask_data.drawing.pictures import Colour, Mark
+from bask_data.drawing.colours import Colour
+from bask_data.drawing.pictures import Mark
 from bask_data.kinds import Camera, KeypointTrack
 
 N_TRAIL = 15

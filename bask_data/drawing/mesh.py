@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from bask_data.core.geometry import invert_rigid, pixel_grid, project, transform, unproject
-from bask_data.drawing.pictures import Colour
+from bask_data.drawing.colours import Colour
 
 BACKGROUND = (44, 48, 56)
 """Colour where no surface is hit; legible on light and dark pages."""

@@ -17,7 +17,7 @@ def picture_html(rgb: np.ndarray) -> str:
     """A small picture (h, w, 3) uint8 as an `<img>` that needs no file."""
     import cv2
 
-    from bask_data.drawing.pictures import jpeg_uri
+    from bask_data.drawing.images import jpeg_uri
 
     height, width = rgb.shape[:2]
     share = min(THUMBNAIL / max(height, width), 1.0)

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bask_data.dataset import Dataset
-from bask_data.drawing import pictures as draw
+from bask_data.drawing.colours import WHITE, Colour, css, heat_gradient, palette
+from bask_data.drawing.images import jpeg_uri
+from bask_data.drawing.pictures import Mark, crop_picture, heat_picture
 from bask_data.evaluation.finder import Finder, Sight
 from bask_data.evaluation.lookup import UNREADABLE, find, find_recording, spread_frames, what_is_wrong
 from bask_data.evaluation.reference_points import (
@@ -104,7 +106,7 @@ def _heat_part(chosen: Chosen, search: _Search, picks: Sequence[Pick], finders: 
     recording, places, indices = search.recording, search.places, search.indices
     n_frames = max(min(chosen.n_frames // 2, N_HEAT_FRAMES), 1)
     camera, frames = _frames_that_show(recording, places, picks, indices, n_frames)
-    colours = draw.palette(len(picks))
+    colours = palette(len(picks))
     tiles: dict[tuple[int, str], list[Part]] = {(i, variant): [] for i in indices for variant in finders}
     for i_frame in frames:
         rgb, truth = camera.rgb(i_frame), places.pixels(camera, i_frame)
@@ -120,7 +122,7 @@ def _heat_part(chosen: Chosen, search: _Search, picks: Sequence[Pick], finders: 
                 "number": i + 1,
                 "name": picks[i].name,
                 "variant": variant if len(finders) > 1 else "",
-                "colour": draw.css(colours[i]),
+                "colour": css(colours[i]),
                 "crop": _crop(chosen.dataset, picks[i]) if variant == first else "",
                 "absent": places.absent[i],
                 "tiles": tiles[i, variant],
@@ -131,7 +133,7 @@ def _heat_part(chosen: Chosen, search: _Search, picks: Sequence[Pick], finders: 
         "n_columns": len(frames),
         "n_left_out": sum(pick.recording == picks[indices[0]].recording for pick in picks) - len(indices),
         "alphas": [(variant, finder.alpha) for variant, finder in finders.items()],
-        "gradient": draw.heat_gradient(),
+        "gradient": heat_gradient(),
         "with_truth": any(places.known[i] for i in indices),
         "why_not": "",
     }
@@ -161,11 +163,11 @@ def _n_seen(truth: PointsInFrame, indices: Sequence[int]) -> int:
 
 
 def _heat_tile(
-    rgb: np.ndarray, sight: Sight, row: int, truth: PointsInFrame, i: int, colour: draw.Colour, i_frame: int
+    rgb: np.ndarray, sight: Sight, row: int, truth: PointsInFrame, i: int, colour: Colour, i_frame: int
 ) -> Part:
     state = truth.states[i]
-    mark = draw.Mark(i + 1, sight.best[row], colour, truth=truth.uv[i] if state in (SEEN, BEHIND) else None)
-    uri = draw.jpeg_uri(draw.heat_picture(rgb, sight.heat[row], [mark], HEAT_TILE, truth_seen=state == SEEN))
+    mark = Mark(i + 1, sight.best[row], colour, truth=truth.uv[i] if state in (SEEN, BEHIND) else None)
+    uri = jpeg_uri(heat_picture(rgb, sight.heat[row], [mark], HEAT_TILE, truth_seen=state == SEEN))
     error = float(np.linalg.norm(sight.best[row] - truth.uv[i]))
     text = {SEEN: f"{error:.1f} px off", UNKNOWN: ""}.get(state, state)
     nearest = f"nearest {float(sight.nearest[row]):.2f}"
@@ -188,4 +190,4 @@ def _crop(dataset: Dataset, pick: Pick) -> str:
     if image is None or not np.isfinite([pick.u, pick.v]).all():
         return ""
     half = max(12, image.shape[1] // 8)
-    return draw.jpeg_uri(draw.crop_picture(image, np.array([pick.u, pick.v]), half, CROP, draw.WHITE))
+    return jpeg_uri(crop_picture(image, np.array([pick.u, pick.v]), half, CROP, WHITE))

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from bask_data.core.scores import object_shares
-from bask_data.drawing import pictures as draw
+from bask_data.drawing.colours import Colour, css, palette
+from bask_data.drawing.images import jpeg_uri
 from bask_data.drawing.marks import N_TRAIL, camera_tracks
+from bask_data.drawing.pictures import Mark, marks_picture
 from bask_data.drawing.plots import Curve, line_plot
 from bask_data.evaluation.lookup import find, spread_frames
 from bask_data.evaluation.reference_points import frame_of
@@ -22,7 +24,7 @@ def reference(chosen: Chosen) -> list[Part]:
         references = find(chosen.dataset, ReferenceKeypoints, "", variant)
         if references is None:
             return None
-        colours = draw.palette(len(references.picks))
+        colours = palette(len(references.picks))
         by_frame: dict[tuple[str, str, int], list[int]] = {}
         for i, pick in enumerate(references.picks):
             by_frame.setdefault((pick.recording, pick.camera, pick.frame), []).append(i)
@@ -34,7 +36,7 @@ def reference(chosen: Chosen) -> list[Part]:
                 unseen.append(f"{recording}, {camera}, frame {i_frame}")
             elif len(tiles) < 2 * chosen.n_frames:
                 marks = [_pick_mark(references.picks[i], i, colours[i]) for i in indices]
-                uri = draw.jpeg_uri(draw.marks_picture(image, marks, 640 if len(by_frame) < 3 else PICTURE))
+                uri = jpeg_uri(marks_picture(image, marks, 640 if len(by_frame) < 3 else PICTURE))
                 tiles.append({"uri": uri, "text": f"{recording}, {camera}, frame {i_frame}"})
         return {
             "title": variant,
@@ -42,7 +44,7 @@ def reference(chosen: Chosen) -> list[Part]:
             "n_frames_left_out": max(len(by_frame) - len(unseen) - len(tiles), 0),
             "unseen": unseen,
             "rows": [
-                {"number": i + 1, "colour": draw.css(colours[i]), **pick.model_dump()}
+                {"number": i + 1, "colour": css(colours[i]), **pick.model_dump()}
                 for i, pick in enumerate(references.picks[: 2 * N_ROWS])
             ],
             "n_rows_left_out": max(len(references.picks) - 2 * N_ROWS, 0),
@@ -51,8 +53,8 @@ def reference(chosen: Chosen) -> list[Part]:
     return untitled_if_alone(per_item(chosen.variants, part))
 
 
-def _pick_mark(pick: Pick, i: int, colour: draw.Colour) -> draw.Mark:
-    return draw.Mark(number=i + 1, pixel=np.array([pick.u, pick.v]), colour=colour)
+def _pick_mark(pick: Pick, i: int, colour: Colour) -> Mark:
+    return Mark(number=i + 1, pixel=np.array([pick.u, pick.v]), colour=colour)
 
 
 def tracks(chosen: Chosen) -> list[Part]:
@@ -62,7 +64,7 @@ def tracks(chosen: Chosen) -> list[Part]:
     def part(label: str) -> Part:
         name, variant, scored = labels[label]
         numbers = figures_of_track(scored)
-        colours = draw.palette(len(scored.track.names))
+        colours = palette(len(scored.track.names))
         return {
             "title": name + (f" ({variant})" if len(chosen.variants) > 1 else ""),
             "numbers": numbers,
@@ -72,7 +74,7 @@ def tracks(chosen: Chosen) -> list[Part]:
             "n_cameras_left_out": max(len(scored.track.camera_names) - N_CAMERAS, 0),
             "plots": _track_plots(scored, colours),
             "rows": [
-                {"number": i + 1, "colour": draw.css(colours[i]), **row}
+                {"number": i + 1, "colour": css(colours[i]), **row}
                 for i, row in enumerate(numbers["keypoints"][: 2 * N_ROWS])
             ],
             "n_rows_left_out": max(len(numbers["keypoints"]) - 2 * N_ROWS, 0),
@@ -84,7 +86,7 @@ def tracks(chosen: Chosen) -> list[Part]:
     return [{"title": "", "compared": compared}, *parts] if len(compared) > 1 else parts
 
 
-def _strips(scored: TrackScores, colours: list[draw.Colour], n_frames: int) -> list[Part]:
+def _strips(scored: TrackScores, colours: list[Colour], n_frames: int) -> list[Part]:
     """A strip of frames per camera, with keypoints, trails, one-sigma ellipses and ground truth."""
     recording = scored.recording
     if recording is None:
@@ -97,13 +99,13 @@ def _strips(scored: TrackScores, colours: list[draw.Colour], n_frames: int) -> l
             continue
         tiles = []
         for i_frame in spread_frames(min(camera.n_frames, len(seen.pixel)), n_frames):
-            uri = draw.jpeg_uri(draw.marks_picture(camera.rgb(i_frame), seen.marks(i_frame, colours), PICTURE))
+            uri = jpeg_uri(marks_picture(camera.rgb(i_frame), seen.marks(i_frame, colours), PICTURE))
             tiles.append({"uri": uri, "text": f"frame {i_frame}"})
         strips.append({"camera": camera.name, "tiles": tiles})
     return strips
 
 
-def _track_plots(scored: TrackScores, colours: list[draw.Colour]) -> list[Part]:
+def _track_plots(scored: TrackScores, colours: list[Colour]) -> list[Part]:
     plots = []
     if not scored.why_no_error():
         plots.append(
@@ -133,10 +135,10 @@ def _track_plots(scored: TrackScores, colours: list[draw.Colour]) -> list[Part]:
     return plots
 
 
-def _over_time(values: np.ndarray, colours: list[draw.Colour], y_label: str) -> str:
+def _over_time(values: np.ndarray, colours: list[Colour], y_label: str) -> str:
     t = np.arange(len(values))
     curves = [
-        Curve(t, values[:, i], draw.css(colour)) for i, colour in enumerate(colours) if np.isfinite(values[:, i]).any()
+        Curve(t, values[:, i], css(colour)) for i, colour in enumerate(colours) if np.isfinite(values[:, i]).any()
     ]
     known = np.isfinite(values).any(axis=1)
     middle = np.full(len(values), np.nan)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bask_data.drawing import pictures as draw
+from bask_data.drawing.colours import css, palette
 from bask_data.drawing.plots import Curve, line_plot
 from bask_data.evaluation.network_figures import descriptor_figures
 from bask_data.kinds import DescriptorNet
@@ -40,7 +40,7 @@ def _curve_plots(descriptor: DescriptorNet, marked_step: int | None) -> list[Par
         families.setdefault(_family(name), []).append(name)
     plots = []
     for family, members in families.items():
-        colours = [draw.css(colour) for colour in draw.palette(len(members))]
+        colours = [css(colour) for colour in palette(len(members))]
         curves, legend = [], []
         for name, colour in list(zip(members, colours, strict=True))[: N_ITEMS * 4]:
             chosen = names == name

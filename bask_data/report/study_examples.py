@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from bask_data.dataset import Dataset
-from bask_data.drawing.pictures import Mark, marks_picture, palette
+from bask_data.drawing.colours import palette
+from bask_data.drawing.pictures import Mark, marks_picture
 from bask_data.drawing.plots import numbers
 from bask_data.errors import BadData
 from bask_data.evaluation.lookup import find_recording

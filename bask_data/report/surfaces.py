@@ -6,7 +6,8 @@ import numpy as np
 
 from bask_data.core.geometry import scale_pixels
 from bask_data.dataset import Dataset
-from bask_data.drawing import pictures as draw
+from bask_data.drawing.colours import css, instance_colour, instance_colours
+from bask_data.drawing.images import jpeg_uri, resize
 from bask_data.drawing.mesh import MeshScene, Viewpoint, draw_path, orbit_views, up_direction
 from bask_data.drawing.plots import Curve, line_plot
 from bask_data.evaluation.artifact_figures import objects_figures, reconstruction_figures
@@ -63,9 +64,9 @@ def _frame_plots(reconstruction: Reconstruction) -> list[Part]:
 
     def plot(title: str, column: str, factor: float, y_label: str, caption: str, top: float | None) -> Part:
         curves = []
-        for name, css in zip(cameras, colours, strict=True):
+        for name, colour in zip(cameras, colours, strict=True):
             mine = table["camera"] == name
-            curves.append(Curve(table["frame"][mine], factor * table[column][mine].astype(np.float64), css))
+            curves.append(Curve(table["frame"][mine], factor * table[column][mine].astype(np.float64), colour))
         bad = table["suspect"]
         if bad.any():
             curves.append(Curve(table["frame"][bad], factor * table[column][bad].astype(np.float64), BAD, dots=True))
@@ -108,7 +109,7 @@ def objects(chosen: Chosen) -> list[Part]:
         mesh = find(chosen.dataset, Reconstruction, name)
         rows = [
             {
-                "colour": draw.css(draw.instance_colour(row["id"])),
+                "colour": css(instance_colour(row["id"])),
                 **row,
                 "extents_cm": " × ".join(f"{100 * edge:.1f}" for edge in row["extents"]),
             }
@@ -128,8 +129,8 @@ def objects(chosen: Chosen) -> list[Part]:
                     "a": row["a"],
                     "b": row["b"],
                     "gap_m": row["gap_m"],
-                    "colour_a": draw.css(draw.instance_colour(row["a"])),
-                    "colour_b": draw.css(draw.instance_colour(row["b"])),
+                    "colour_a": css(instance_colour(row["a"])),
+                    "colour_b": css(instance_colour(row["b"])),
                 }
                 for row in numbers["neighbours"][:N_ROWS]
             ],
@@ -155,7 +156,7 @@ def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: Obje
     plane = find(dataset, ObjectInstances, name)
     up = up_direction(plane.support_plane if plane else None, path)
     scene = MeshScene(mesh.vertices, mesh.triangles)
-    colours = mesh.colors if objects is None else draw.instance_colours(objects.vertex_instance, mesh.colors)
+    colours = mesh.colors if objects is None else instance_colours(objects.vertex_instance, mesh.colors)
     sharp, ambient = objects is not None, 0.65 if objects is None else 0.35
     tiles = []
     if camera:
@@ -166,15 +167,15 @@ def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: Obje
         K[:2, :2] *= np.array([[width / camera.width], [height / camera.height]])
         view = Viewpoint(K, camera.world_from_cameras[i_frame], height, width)
         if objects is None:
-            picture = draw.resize(camera.rgb(i_frame), PICTURE)
-            tiles.append({"uri": draw.jpeg_uri(picture), "text": f"frame {i_frame} as recorded"})
+            picture = resize(camera.rgb(i_frame), PICTURE)
+            tiles.append({"uri": jpeg_uri(picture), "text": f"frame {i_frame} as recorded"})
         picture = scene.render(colours, view, sharp=sharp, ambient=ambient)
-        tiles.append({"uri": draw.jpeg_uri(picture), "text": f"the mesh from the viewpoint of frame {i_frame}"})
+        tiles.append({"uri": jpeg_uri(picture), "text": f"the mesh from the viewpoint of frame {i_frame}"})
     for view, side in zip(
         orbit_views(mesh.vertices, path, up, height=3 * PICTURE // 4, width=PICTURE), ("left", "right"), strict=True
     ):
         picture = scene.render(colours, view, sharp=sharp, ambient=ambient)
         if objects is None and camera:
             picture = draw_path(picture, view, path, FIRST, LAST)
-        tiles.append({"uri": draw.jpeg_uri(picture), "text": f"from above, {side}"})
+        tiles.append({"uri": jpeg_uri(picture), "text": f"from above, {side}"})
     return tiles

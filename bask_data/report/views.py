@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from bask_data.drawing import pictures as draw
+from bask_data.drawing.colours import N_LABEL_COLOURS, css, instance_colour, turbo_gradient
+from bask_data.drawing.images import depth_picture, jpeg_uri, resize, resize_labels
+from bask_data.drawing.mask_pictures import mask_picture
+from bask_data.drawing.pictures import matches_picture, spread_matches
 from bask_data.drawing.plots import histogram
 from bask_data.evaluation.artifact_figures import matches_figures, recording_figures, view_changes
 from bask_data.evaluation.lookup import find, find_recording, find_truth, spread_frames
@@ -44,23 +47,23 @@ def _contact_sheet(camera: Any, figures: dict[str, Any], n_frames: int) -> Part:
     near, far = figures["depth_range_m"]
     tiles = []
     for i_frame in spread_frames(camera.n_frames, n_frames):
-        depth = draw.depth_picture(_shrunk_depth(camera.depth(i_frame)), near, far)
+        depth = depth_picture(_shrunk_depth(camera.depth(i_frame)), near, far)
         tiles.append(
             {
                 "frame": i_frame,
-                "colour": draw.jpeg_uri(draw.resize(camera.rgb(i_frame), TILE)),
-                "depth": draw.jpeg_uri(draw.resize(depth, TILE)),
+                "colour": jpeg_uri(resize(camera.rgb(i_frame), TILE)),
+                "depth": jpeg_uri(resize(depth, TILE)),
             }
         )
     ticks = [near + (far - near) * share for share in (0, 0.25, 0.5, 0.75, 1)]
-    return {"tiles": tiles, "gradient": draw.turbo_gradient(), "ticks": [f"{tick:.2f}" for tick in ticks]}
+    return {"tiles": tiles, "gradient": turbo_gradient(), "ticks": [f"{tick:.2f}" for tick in ticks]}
 
 
 def _shrunk_depth(depth: np.ndarray) -> np.ndarray:
     """Depth shrunk to a tile's width by nearest neighbour."""
     if depth.shape[1] <= TILE:
         return depth
-    return draw.resize_labels(depth, (max(1, round(depth.shape[0] * TILE / depth.shape[1])), TILE))
+    return resize_labels(depth, (max(1, round(depth.shape[0] * TILE / depth.shape[1])), TILE))
 
 
 def masks(chosen: Chosen) -> list[Part]:
@@ -74,7 +77,7 @@ def masks(chosen: Chosen) -> list[Part]:
         if "error" in numbers:
             return {"title": name, "error": numbers["error"]}
         truth, scan = find_truth(chosen.dataset, name), find(chosen.dataset, Scan, name)
-        colours = [draw.css(draw.instance_colour(i)) for i in range(1, draw.N_LABEL_COLOURS + 1)]
+        colours = [css(instance_colour(i)) for i in range(1, N_LABEL_COLOURS + 1)]
         objects = find(chosen.dataset, ObjectInstances, name)
         names = {row.id: row.name for row in objects.instances} if objects else {}
         tiles = [
@@ -91,7 +94,7 @@ def masks(chosen: Chosen) -> list[Part]:
             "tiles": tiles,
             "n_cameras_left_out": max(len(visible_masks.camera_names) - N_CAMERAS, 0),
             "rows": [
-                {**row, "colour": draw.css(draw.instance_colour(row["id"])), "name": names.get(row["id"], "")}
+                {**row, "colour": css(instance_colour(row["id"])), "name": names.get(row["id"], "")}
                 for row in numbers["instances"][:N_ROWS]
             ],
             "n_rows_left_out": max(len(numbers["instances"]) - N_ROWS, 0),
@@ -110,8 +113,8 @@ def _mask_tiles(scan: Any, masks: VisibleMasks, truth: Truth | None, camera: str
     for i_frame in spread_frames(min(frames.n_frames, instances.n_frames), n_frames):
         labels = truth.instance(camera, i_frame) if labelled and truth is not None else None
         instance, measured = instances.instance(i_frame), instances.measured(i_frame)
-        picture = draw.mask_picture(frames.rgb(i_frame), instance, labels, PICTURE, measured)
-        tiles.append({"uri": draw.jpeg_uri(picture), "text": f"{camera}, frame {i_frame}"})
+        picture = mask_picture(frames.rgb(i_frame), instance, labels, PICTURE, measured)
+        tiles.append({"uri": jpeg_uri(picture), "text": f"{camera}, frame {i_frame}"})
     return tiles
 
 
@@ -150,7 +153,7 @@ def _tried_per_object(numbers: dict[str, Any], reasons: Sequence[str]) -> list[P
         rows.append(
             {
                 "id": i,
-                "colour": draw.css(draw.instance_colour(i)),
+                "colour": css(instance_colour(i)),
                 "n_matches": matches.get(i, 0),
                 "tried": tried,
                 "share": matches.get(i, 0) / tried if tried else None,
@@ -197,8 +200,8 @@ def _pair_tiles(scan: Scan, correspondences: Correspondences) -> list[Part]:
             continue
         table = correspondences.matches([row["pair"]])
         columns = {name: table[name].to_numpy() for name in ("u_a", "v_a", "u_b", "v_b", "instance")}
-        some = draw.spread_matches(columns["instance"], N_DRAWN_MATCHES)
-        picture = draw.matches_picture(
+        some = spread_matches(columns["instance"], N_DRAWN_MATCHES)
+        picture = matches_picture(
             scan.camera(row["camera_a"]).rgb(row["frame_a"]),
             scan.camera(row["camera_b"]).rgb(row["frame_b"]),
             np.stack([columns["u_a"], columns["v_a"]], axis=1)[some],
@@ -210,5 +213,5 @@ def _pair_tiles(scan: Scan, correspondences: Correspondences) -> list[Part]:
             f"{100 * row['distance']:.1f} cm and {np.rad2deg(row['angle']):.0f}° apart; "
             f"{len(some)} of {row['n_matches']:,} matches drawn"
         )
-        tiles.append({"uri": draw.jpeg_uri(picture), "text": text})
+        tiles.append({"uri": jpeg_uri(picture), "text": text})
     return tiles

@@ -14,7 +14,8 @@ from bask_data.core.filters.observation import Observation, WeightedPoints, pixe
 from bask_data.core.filters.particle.resample import stratified
 from bask_data.core.geometry import scale_pixels
 from bask_data.dataset import Dataset
-from bask_data.drawing.pictures import heat_picture, palette
+from bask_data.drawing.colours import palette
+from bask_data.drawing.pictures import heat_picture
 from bask_data.evaluation.lookup import find, input_variant
 from bask_data.kinds import Camera, Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints
 from bask_data.progress import progress

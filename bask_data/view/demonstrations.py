@@ -6,7 +6,7 @@ import numpy as np
 
 from bask_data.core.geometry import in_image, rigid_fault
 from bask_data.dataset import Dataset
-from bask_data.drawing.pictures import palette
+from bask_data.drawing.colours import palette
 from bask_data.errors import BadData
 from bask_data.evaluation.lookup import find
 from bask_data.kinds import Demonstration, KeypointTrack, Recording

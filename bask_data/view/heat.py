@@ -6,7 +6,8 @@ import numpy as np
 
 from bask_data.core.geometry import scale_pixels
 from bask_data.dataset import Dataset
-from bask_data.drawing.pictures import WHITE, Mark, heat_picture, marks_picture, palette
+from bask_data.drawing.colours import WHITE, palette
+from bask_data.drawing.pictures import Mark, heat_picture, marks_picture
 from bask_data.evaluation.finder import Finder, Sight, network_of
 from bask_data.evaluation.lookup import spread_frames
 from bask_data.evaluation.reference_points import BEHIND, SEEN, PointsInFrame, TruePlaces, frame_of, reference_points

@@ -8,8 +8,8 @@ import numpy as np
 
 from bask_data.core.geometry import transform, unproject
 from bask_data.dataset import Dataset
+from bask_data.drawing.colours import instance_colours
 from bask_data.drawing.mesh import up_direction
-from bask_data.drawing.pictures import instance_colours
 from bask_data.evaluation.lookup import find, spread_frames
 from bask_data.kinds import ObjectInstances, Reconstruction, Recording
 from bask_data.view.sheet import DrawnItem, Eye, Sheet, expect, label_colour, name_labels, reading

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from bask_data.artifact import REMAKE, Artifact
-from bask_data.drawing.pictures import Colour, instance_colour
+from bask_data.drawing.colours import Colour, instance_colour
 from bask_data.errors import BadData, BaskError
 from bask_data.kinds.truth import ROBOT
 from bask_data.view.choice import Shown

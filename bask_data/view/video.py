@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 
 from bask_data.dataset import Dataset
+from bask_data.drawing.colours import Colour, palette
 from bask_data.drawing.marks import CameraTrack, camera_tracks
-from bask_data.drawing.pictures import Colour, Mark, marks_picture, palette
+from bask_data.drawing.pictures import Mark, marks_picture
 from bask_data.errors import BaskError, UsageError, WouldOverwrite
 from bask_data.evaluation.lookup import find, find_recording
 from bask_data.evaluation.track_figures import TrackScores

@@ -4,8 +4,8 @@ import numpy as np
 
 from bask_data.core.geometry import invert_rigid, project, transform
 from bask_data.dataset import Dataset
+from bask_data.drawing.colours import palette
 from bask_data.drawing.marks import N_TRAIL, camera_tracks
-from bask_data.drawing.pictures import palette
 from bask_data.kinds import Demonstration, KeypointTrack
 
 

@@ -6,7 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from bask_data.drawing import pictures as draw
+from bask_data.drawing.colours import palette
+from bask_data.drawing.images import depth_picture, jpeg_uri, resize
+from bask_data.drawing.mask_pictures import mask_picture
+from bask_data.drawing.pictures import Mark, crop_picture, heat_picture, marks_picture, matches_picture
 
 GREY = np.full((60, 80, 3), 90, np.uint8)
 
@@ -19,18 +22,18 @@ def decoded(uri: str) -> np.ndarray:
 def test_a_data_uri_holds_the_picture():
     picture = np.zeros((40, 60, 3), np.uint8)
     picture[:20] = (250, 10, 20)
-    assert np.abs(decoded(draw.jpeg_uri(picture, 95)).astype(int) - picture).mean() < 3
+    assert np.abs(decoded(jpeg_uri(picture, 95)).astype(int) - picture).mean() < 3
 
 
 def test_colours_are_distinct_and_do_not_change_when_there_are_more():
-    colours = draw.palette(24)
-    assert draw.palette(5) == colours[:5]
+    colours = palette(24)
+    assert palette(5) == colours[:5]
     far = [np.abs(np.subtract(a, b)).sum() for i, a in enumerate(colours[:8]) for b in colours[:i]]
     assert min(far) > 60
 
 
 def test_depth_is_grey_where_nothing_was_measured_and_red_where_it_is_far():
-    red, _, blue = draw.depth_picture(np.array([[0.0, 0.5, 1.9]], np.float32), 0.5, 2.0)[0].T.astype(int)
+    red, _, blue = depth_picture(np.array([[0.0, 0.5, 1.9]], np.float32), 0.5, 2.0)[0].T.astype(int)
     assert (red[0], blue[0]) == (128, 128)
     assert blue[1] > red[1]
     assert red[2] > blue[2]
@@ -39,7 +42,7 @@ def test_depth_is_grey_where_nothing_was_measured_and_red_where_it_is_far():
 def test_masks_tint_their_pixels_and_no_others():
     instance = np.zeros((60, 80), np.uint8)
     instance[10:40, 10:40] = 2
-    picture = draw.mask_picture(GREY, instance, None, 80)
+    picture = mask_picture(GREY, instance, None, 80)
     changed = (picture != GREY).any(axis=2)
     assert changed[10:40, 10:40].all()
     assert not changed[45:].any()
@@ -49,22 +52,22 @@ def test_masks_tint_their_pixels_and_no_others():
 def test_outlines_of_true_labels_are_white():
     labels = np.zeros((60, 80), np.uint8)
     labels[5:25, 50:70] = 132
-    picture = draw.mask_picture(GREY, np.zeros((60, 80), np.uint8), labels, 80)
+    picture = mask_picture(GREY, np.zeros((60, 80), np.uint8), labels, 80)
     assert picture[5, 50:70].min() > 200
     assert (picture[10:20, 55:65] == 90).all()
 
 
 def test_marks_are_drawn_where_they_are_and_not_where_they_are_unknown():
     pixel = np.array([40.0, 30.0])
-    picture = draw.marks_picture(GREY, [draw.Mark(1, pixel, (255, 0, 0))], 160)
+    picture = marks_picture(GREY, [Mark(1, pixel, (255, 0, 0))], 160)
     assert picture[round((30 + 0.5) * 2 - 0.5), round((40 + 0.5) * 2 - 0.5)].tolist() == [255, 0, 0]
-    unknown = draw.Mark(1, np.array([np.nan, 3.0]), (255, 0, 0), truth=np.array([np.nan, np.nan]))
-    assert (draw.marks_picture(GREY, [unknown], 160) == draw.resize(GREY, 160)).all()
+    unknown = Mark(1, np.array([np.nan, 3.0]), (255, 0, 0), truth=np.array([np.nan, np.nan]))
+    assert (marks_picture(GREY, [unknown], 160) == resize(GREY, 160)).all()
 
 
 @pytest.mark.parametrize("far", [1e7, -1e7, 1e30, np.inf, np.nan])
 def test_marks_far_outside_the_image_are_harmless(far):
-    mark = draw.Mark(
+    mark = Mark(
         1,
         np.array([far, 5.0]),
         (255, 0, 0),
@@ -72,22 +75,22 @@ def test_marks_far_outside_the_image_are_harmless(far):
         covariance=np.full((2, 2), far),
         truth=np.array([far, 1.0]),
     )
-    assert draw.marks_picture(GREY, [mark], 80).shape == (60, 80, 3)
+    assert marks_picture(GREY, [mark], 80).shape == (60, 80, 3)
 
 
 def test_the_brightest_spot_of_a_heat_map_is_its_maximum():
     heat = np.zeros((30, 40))
     heat[20, 10] = 1e-9
-    picture = draw.heat_picture(GREY, heat, [], 80)
+    picture = heat_picture(GREY, heat, [], 80)
     v, u = np.unravel_index(picture.sum(axis=2).argmax(), picture.shape[:2])
     assert (abs(u - 20.5), abs(v - 40.5)) < (2, 2)
 
 
 def test_the_best_match_is_a_ring_and_ground_truth_a_cross_joined_to_it_unless_occluded():
-    mark = draw.Mark(1, np.array([20.0, 30.0]), (0, 255, 0), truth=np.array([60.0, 30.0]))
+    mark = Mark(1, np.array([20.0, 30.0]), (0, 255, 0), truth=np.array([60.0, 30.0]))
     heat = np.ones((30, 40))
     bare, drawn, hidden = (
-        draw.heat_picture(GREY, heat, marks, 80, truth_seen=seen)
+        heat_picture(GREY, heat, marks, 80, truth_seen=seen)
         for marks, seen in (([], True), ([mark], True), ([mark], False))
     )
     assert (drawn[30, 20] == bare[30, 20]).all(), "the match itself stays visible"
@@ -101,13 +104,13 @@ def test_the_best_match_is_a_ring_and_ground_truth_a_cross_joined_to_it_unless_o
 def test_a_crop_has_its_pixel_in_the_middle_even_at_the_edge():
     image = GREY.copy()
     image[0, 0] = (0, 255, 0)
-    crop = draw.crop_picture(image, np.array([0.0, 0.0]), 10, 210, (255, 255, 255))
+    crop = crop_picture(image, np.array([0.0, 0.0]), 10, 210, (255, 255, 255))
     assert crop.shape == (210, 210, 3)
     assert crop[105, 105].tolist() == [255, 255, 255]
     assert crop[105, 97:100, 1].min() > 150
 
 
 def test_matches_join_the_two_pixels():
-    picture = draw.matches_picture(GREY, GREY, np.array([[40.0, 30.0]]), np.array([[40.0, 30.0]]), 166)
+    picture = matches_picture(GREY, GREY, np.array([[40.0, 30.0]]), np.array([[40.0, 30.0]]), 166)
     assert (picture[30, 40:126] != 90).any(axis=1).all()
     assert (picture[50, :80] == 90).all()

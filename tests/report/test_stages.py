@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from bask_data.cli.app import app
 from bask_data.dataset import Dataset
-from bask_data.drawing.pictures import mask_picture
+from bask_data.drawing.mask_pictures import mask_picture
 from bask_data.drawing.plots import histogram
 from bask_data.evaluation.artifact_figures import view_changes
 from bask_data.kinds import Demonstration, Truth

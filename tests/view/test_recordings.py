@@ -14,7 +14,8 @@ import pytest
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
 from bask_data.core.tsdf import Mesh
 from bask_data.dataset import Dataset
-from bask_data.drawing.pictures import heat_picture, palette
+from bask_data.drawing.colours import palette
+from bask_data.drawing.pictures import heat_picture
 from bask_data.errors import BadData, BaskError, UsageError, WouldOverwrite
 from bask_data.evaluation.finder import Finder
 from bask_data.evaluation.lookup import find_recording

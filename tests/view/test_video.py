@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from bask_data.cli.app import app
 from bask_data.dataset import Dataset
-from bask_data.drawing.pictures import palette
+from bask_data.drawing.colours import palette
 from bask_data.errors import BaskError, UsageError, WouldOverwrite
 from bask_data.kinds import Demonstration, KeypointTrack
 from bask_data.view import video
