@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -177,19 +177,15 @@ class Dataset:
 
         def enter(file: DatasetFile) -> DatasetFile:
             scenes, demonstrations = dict(file.scenes), dict(file.demonstrations)
-            (scenes if scope == "scene" else demonstrations)[item] = source
+            own, others = (scenes, demonstrations) if scope == "scene" else (demonstrations, scenes)
+            if item in others:
+                got = f"the name of a {'demonstration' if scope == 'scene' else 'scene'}"
+                fix = "choose another name."
+                raise UsageError(self.root / DATASET, item, expected=f"a {scope}", got=got, fix=fix)
+            own[item] = source
             return file.model_copy(update={"scenes": scenes, "demonstrations": demonstrations})
 
         check_name(item, self.root / DATASET)
-        other_scope = "demonstration" if scope == "scene" else "scene"
-        if item in self.items(other_scope):
-            raise UsageError(
-                self.root / DATASET,
-                item,
-                expected=f"a {scope}",
-                got=f"the name of a {other_scope}",
-                fix="choose another name.",
-            )
         self._update(enter)
 
     def add_variant(self, artifact: type[Artifact], name: str, variant: Variant) -> None:
@@ -206,19 +202,18 @@ class Dataset:
     def set_splits(self, splits: Splits) -> None:
         """Replace the splits; `UsageError` unless every name is a scene, and in one split only."""
         names = [*splits.train, *splits.validation, *splits.test]
-        for name in names:
-            if name not in self.file.scenes:
-                raise UsageError(
-                    self.root / DATASET,
-                    "splits",
-                    expected=f"one of {', '.join(self.file.scenes) or 'no scenes'}",
-                    got=name,
-                    fix=suggestion(name, self.file.scenes),
-                )
+
+        def replaced(file: DatasetFile) -> DatasetFile:
+            for name in names:
+                if name not in file.scenes:
+                    expected, fix = f"one of {', '.join(file.scenes) or 'no scenes'}", suggestion(name, file.scenes)
+                    raise UsageError(self.root / DATASET, "splits", expected=expected, got=name, fix=fix)
+            return file.model_copy(update={"splits": splits})
+
         doubled = sorted({name for name in names if names.count(name) > 1})
         if doubled:
             raise UsageError(self.root / DATASET, "splits", expected="each scene in one split", got=", ".join(doubled))
-        self._update(lambda file: file.model_copy(update={"splits": splits}))
+        self._update(replaced)
 
     def variants(self, artifact: type[Artifact]) -> dict[str, Variant]:
         """The variants of a kind, always including `main`, which is the only one of kinds without variants."""
@@ -229,7 +224,8 @@ class Dataset:
         """Remove what killed processes left behind."""
         recover(self.root)
 
-    def _update(self, change: Any) -> None:
+    def _update(self, change: Callable[[DatasetFile], DatasetFile]) -> None:
+        """Change the file as it is on disk, under a lock; what depends on its content must be checked in `change`."""
         (self.root / SCRATCH).mkdir(exist_ok=True)
         with FileLock(self.root / SCRATCH / "dataset.lock"):
             # Another process may have changed the file since it was read; otherwise it need not be validated again.

@@ -86,6 +86,18 @@ def test_items_added_at_the_same_time_are_all_kept(tmp_path: Path) -> None:
     assert sorted(Dataset(tmp_path).items("scene")) == sorted(names)
 
 
+def test_names_are_checked_against_the_file_as_another_process_left_it(tmp_path: Path) -> None:
+    first, second = Dataset.create(tmp_path / "d"), Dataset(tmp_path / "d")
+    first.add("scene", "a", SOURCE)
+    with pytest.raises(UsageError, match="a: expected a demonstration, got the name of a scene"):
+        second.add("demonstration", "a", SOURCE)
+    assert Dataset(tmp_path / "d").items("recording") == ["a"]
+    other = Dataset(tmp_path / "d")
+    first.add("scene", "b", SOURCE)
+    other.set_splits(Splits(train=("a", "b")))
+    assert Dataset(tmp_path / "d").file.splits.train == ("a", "b")
+
+
 def test_items_are_selected_by_name_each_once_and_all_by_default(tmp_path: Path) -> None:
     dataset = Dataset.create(tmp_path)
     for scope, name in (("scene", "table"), ("scene", "shelf"), ("demonstration", "pour")):
