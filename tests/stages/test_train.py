@@ -374,8 +374,8 @@ def test_what_pretrained_weights_are_best_served_with_is_the_default():
 def test_a_step_looks_at_a_share_of_the_image_as_large_as_all_of_it_would_show(learned_from, monkeypatch):
     seen = {}
 
-    def look(network, source, sample, augment, *rest, **options):
-        seen.update(size=sample.size, zoom=augment.zoom)
+    def look(network, examples, *rest, **options):
+        seen.update(size=examples.sample.size, zoom=examples.augment.zoom)
         raise FloatingPointError("seen enough")
 
     monkeypatch.setattr("bask_data.nn.training.train_network", look)
