@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 _MOST_SHOWN = 80
-"""Characters shown of a refused value: enough to recognise it."""
+"""Characters shown of a refused value or of the path to its field: enough to recognise it."""
 
 _WORDY = re.compile(r"^(Input should (be )?|Value error, )|, (unable|got) .*$|\bvalid ")
 _TYPES = {
@@ -65,7 +65,10 @@ def first_fault(error: ValidationError) -> tuple[str, str, str]:
     fault = error.errors()[0]
     # For a missing value pydantic gives the whole model as input.
     came = "none" if fault["type"] == "missing" else _as_came(fault["input"])
-    return ".".join(map(str, fault["loc"])), _expected(fault["type"], fault["msg"], fault.get("ctx", {})), came
+    field = ".".join(map(str, fault["loc"]))
+    if len(field) > _MOST_SHOWN:
+        field = f"{field[:_MOST_SHOWN]}..."  # Deeply nested JSON.
+    return field, _expected(fault["type"], fault["msg"], fault.get("ctx", {})), came
 
 
 def _expected(code: str, message: str, context: Mapping[str, Any]) -> str:

@@ -3,7 +3,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import pytest
-from pydantic import Field, ValidationError
+from pydantic import Field, JsonValue, ValidationError
 
 from bask_data.params import Params, first_fault
 
@@ -59,3 +59,16 @@ def test_long_value_is_truncated() -> None:
     with pytest.raises(ValidationError) as caught:
         Example.model_validate({"rate": "x" * 1000})
     assert first_fault(caught.value)[2] == f"'{'x' * 80}'"
+
+
+def test_the_path_to_a_deeply_nested_value_is_cut() -> None:
+    class Nested(Params):
+        value: dict[str, JsonValue]
+
+    nested: object = object()
+    for _ in range(60):
+        nested = [nested]
+    with pytest.raises(ValidationError) as caught:
+        Nested.model_validate({"value": {"x": nested}})
+    field, _, _ = first_fault(caught.value)
+    assert field.startswith("value.x.list.0.") and field.endswith("...") and len(field) < 100
