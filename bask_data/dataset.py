@@ -21,7 +21,7 @@ from bask_data.artifact import (
 )
 from bask_data.errors import BadData, UsageError, WouldOverwrite
 from bask_data.params import first_fault
-from bask_data.spelling import suggestion
+from bask_data.spelling import choices, suggestion
 
 DATASET = "dataset.json"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
@@ -105,7 +105,7 @@ class Dataset:
         splits = self.file.splits
         for name in (*splits.train, *splits.validation, *splits.test):
             if name not in self.file.scenes:
-                known = ", ".join(self.file.scenes) or "no scenes"
+                known = choices(self.file.scenes) or "no scenes"
                 raise BadData(file, "splits", expected=f"one of {known}", got=name, fix=f"bask-data split {root}")
         for kind, variants in self.file.variants.items():
             for name, variant in variants.items():
@@ -157,7 +157,7 @@ class Dataset:
         known = self.items(scope)
         unknown = [name for name in names if name not in set(known)]
         if unknown:
-            expected, fix = f"one of {', '.join(known) or 'no items yet'}", suggestion(unknown[0], known)
+            expected, fix = f"one of {choices(known) or 'no items yet'}", suggestion(unknown[0], known)
             raise UsageError(self.root, option, expected=expected, got=", ".join(unknown), fix=fix)
         if not known:
             fix = "bask-data ingest --help"
@@ -206,7 +206,7 @@ class Dataset:
         def replaced(file: DatasetFile) -> DatasetFile:
             for name in names:
                 if name not in file.scenes:
-                    expected, fix = f"one of {', '.join(file.scenes) or 'no scenes'}", suggestion(name, file.scenes)
+                    expected, fix = f"one of {choices(file.scenes) or 'no scenes'}", suggestion(name, file.scenes)
                     raise UsageError(self.root / DATASET, "splits", expected=expected, got=name, fix=fix)
             return file.model_copy(update={"splits": splits})
 

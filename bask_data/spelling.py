@@ -1,9 +1,12 @@
-"""Suggestions for misspelt names."""
+"""Suggestions for misspelt names, and the choices there are."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+
+MOST_CHOICES = 20
+"""Names listed in a message: all stages, options and splits, but not thousands of scenes."""
 
 
 def suggestion(name: str, choices: Iterable[str]) -> str:
@@ -14,6 +17,13 @@ def suggestion(name: str, choices: Iterable[str]) -> str:
     by_spelling = {_plain(choice): choice for choice in choices}
     near = get_close_matches(_plain(name), by_spelling, n=1, cutoff=0.6)
     return f"did you mean {by_spelling[near[0]]}?" if near else ""
+
+
+def choices(names: Iterable[str]) -> str:
+    """The names, separated by commas; of many, the first and the number of the others."""
+    listed = list(map(str, names))
+    more = len(listed) - MOST_CHOICES
+    return ", ".join(listed) if more <= 0 else f"{', '.join(listed[:MOST_CHOICES])} and {more:,} more"
 
 
 def _plain(name: str) -> str:

@@ -119,6 +119,14 @@ def test_a_misspelt_item_is_refused_with_the_nearest_name(tmp_path: Path) -> Non
         dataset.set_splits(Splits(test=("Shelf",)))
 
 
+def test_an_unknown_item_of_a_large_dataset_is_refused_in_one_line(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path)
+    dataset.file.scenes.update({f"scene{i}": SOURCE for i in range(2000)})
+    with pytest.raises(UsageError, match=r"scene19 and 1,980 more, got b") as caught:
+        dataset.select(["b"])
+    assert len(str(caught.value)) < 400
+
+
 def test_selecting_from_a_dataset_without_items_names_the_command_that_adds_them(tmp_path: Path) -> None:
     dataset = Dataset.create(tmp_path)
     with pytest.raises(UsageError, match="expected a scene, got none in the dataset.  fix: bask-data ingest --help"):

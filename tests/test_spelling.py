@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from bask_data.spelling import suggestion
+from bask_data.spelling import choices, suggestion
 
 NAMES = ["voxel_size", "workspace", "min_views", "near", "far"]
 
@@ -15,3 +15,9 @@ def test_the_nearest_name_is_suggested(name: str) -> None:
 def test_nothing_is_suggested_where_nothing_is_near() -> None:
     assert suggestion("colour", NAMES) == ""
     assert suggestion("colour", []) == ""
+
+
+def test_of_many_choices_the_first_are_listed_and_the_others_counted() -> None:
+    assert choices("abc") == "a, b, c"
+    assert choices(f"scene{i}" for i in range(2000)).endswith("scene18, scene19 and 1,980 more")
+    assert choices([]) == ""

@@ -16,6 +16,7 @@ from bask_data.engine.requested import REQUESTED, Requested, read_requested, var
 from bask_data.engine.sections import Config, laid_over, of_stage, sections_for
 from bask_data.errors import BadData, UsageError
 from bask_data.params import Params, first_fault
+from bask_data.spelling import choices
 
 
 @dataclass(frozen=True)
@@ -223,7 +224,7 @@ def _refuse_unknown_sections(dataset: Dataset, stage: Stage, config: Config, var
         name, *names = section.split("@")
         of = "@".join(names)
         if name == stage.name and (len(names) > 2 or any(part not in known for part in names)):
-            raise UsageError(section, "", expected=f"{name}@ and one of {', '.join(known)}", got=of)
+            raise UsageError(section, "", expected=f"{name}@ and one of {choices(known)}", got=of)
 
 
 def _items_of(dataset: Dataset, input_: Input, item: str, params: Params) -> list[str]:

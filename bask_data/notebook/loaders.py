@@ -17,6 +17,7 @@ from bask_data.errors import UsageError
 from bask_data.kinds import Correspondences, Scan, VisibleMasks
 from bask_data.notebook.opened import OpenDataset
 from bask_data.notebook.recordings import RecordedFrame, RecordedFrames
+from bask_data.spelling import choices
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -33,7 +34,7 @@ class _Opened(TorchDataset[Sample]):
         chosen, known = (scans,) if isinstance(scans, str) else tuple(scans), tuple(self._dataset.scans)
         unknown = [name for name in chosen if name not in known]
         if unknown:
-            expected = f"some of {', '.join(known) or 'none'}"
+            expected = f"some of {choices(known) or 'none'}"
             raise UsageError(self.root, "scans", expected=expected, got=", ".join(unknown))
         self.scans = tuple(dict.fromkeys(chosen)) or known
         self._recordings: dict[tuple[str, str], RecordedFrames] = {}

@@ -22,7 +22,7 @@ from bask_data.kinds import (
 )
 from bask_data.notebook.recordings import RecordedFrames, RecordingTable
 from bask_data.notebook.results import MatchArrays, ObjectArrays, TrackArrays
-from bask_data.spelling import suggestion
+from bask_data.spelling import choices, suggestion
 
 if TYPE_CHECKING:
     import numpy as np
@@ -214,7 +214,7 @@ class OpenDataset:
 
     def _check(self, field: str, name: str, known: Iterable[str]) -> None:
         if name not in (known := list(known)):
-            expected, fix = f"one of {', '.join(known) or 'none'}", suggestion(str(name), known)
+            expected, fix = f"one of {choices(known) or 'none'}", suggestion(str(name), known)
             raise UsageError(self.root, field, expected=expected, got=name, fix=fix)
 
     def _recording(self, kind: type[Scan] | type[Demonstration], name: str) -> RecordedFrames:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, SupportsIndex, overload
 from bask_data.errors import BaskError, UsageError
 from bask_data.kinds import Camera, Demonstration, Robot, Scan
 from bask_data.notebook.html import picture_html
-from bask_data.spelling import suggestion
+from bask_data.spelling import choices, suggestion
 
 if TYPE_CHECKING:
     import numpy as np
@@ -191,7 +191,7 @@ class RecordingTable(Mapping[str, RecordedFrames]):
 
     def __getitem__(self, name: str) -> RecordedFrames:
         if name not in self._names:
-            known = f"one of {', '.join(self._names)}" if self._names else f"no {self._what}s, as there are none"
+            known = f"one of {choices(self._names)}" if self._names else f"no {self._what}s, as there are none"
             fix = suggestion(str(name), self._names)
             raise UnknownName(self._where, self._what, expected=known, got=repr(name), fix=fix)
         return self._opened(name)
