@@ -42,6 +42,11 @@ class Robot:
         self.action = action
         self.action_names = action_names
 
+    def __repr__(self) -> str:
+        arrays = (("world_from_gripper", self.world_from_gripper), ("gripper_width", self.gripper_width))
+        shapes = [f"{name} {values.shape}" for name, values in (*arrays, ("action", self.action)) if values is not None]
+        return f"Robot({', '.join(shapes) or 'nothing recorded'})"
+
 
 class Demonstration(Recording):
     """RGB-D frames of a robot at work."""
