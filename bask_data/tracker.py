@@ -13,10 +13,11 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from bask_data.artifact import MANIFEST
 from bask_data.core.filters.belief_arrays import from_arrays, to_arrays
 from bask_data.core.filters.observation import Motion, Observation, PixelMaps, WeightedPoints, fitted
 from bask_data.core.filters.step import step
@@ -24,6 +25,8 @@ from bask_data.core.filters.table import DEFAULT, FilterSettings, filter_of, set
 from bask_data.core.geometry import rigid_fault, scale_pixels
 from bask_data.errors import BadData
 from bask_data.kinds import Camera, DescriptorNet, ReferenceKeypoints
+
+Kind = TypeVar("Kind", DescriptorNet, ReferenceKeypoints)
 
 if TYPE_CHECKING:
     import torch
@@ -116,18 +119,23 @@ class KeypointTracker:
             cameras: names in the filter's order. Default: in the order of their first frames, then by name.
 
         Raises:
-            BadData: the network does not load, or its descriptors have another dimension than the references.
+            BadData: a path holds no such artifact, the network does not load, or its descriptors have another
+                dimension than the references.
         """
         if isinstance(descriptor, str | Path):
-            descriptor = DescriptorNet(descriptor)
+            descriptor = _existing(DescriptorNet, descriptor)
         if not isinstance(reference, ReferenceKeypoints):
-            reference = ReferenceKeypoints(reference)
+            reference = _existing(ReferenceKeypoints, reference)
         network = descriptor.network() if isinstance(descriptor, DescriptorNet) else descriptor
         self.names = tuple(reference.names)
         self._network = network if device is None else network.to(device)
         self._references = _fitting(reference, self._network)
         self._settings, self._seed, self._given = settings or settings_named(DEFAULT), seed, tuple(cameras or ())
         self.reset()
+
+    def __repr__(self) -> str:
+        settings, cameras = type(self._settings).__name__, ", ".join(self.cameras) or "none yet"
+        return f"KeypointTracker({len(self.names)} keypoints, {settings}, cameras: {cameras}, steps: {self.n_steps})"
 
     def reset(self) -> None:
         """Return to the state before the first frame."""
@@ -161,12 +169,14 @@ class KeypointTracker:
             world_from_gripper: (4, 4) metres, if known: grasped objects move with it.
 
         Raises:
-            ValueError: an input of a camera is missing, or has another shape.
+            ValueError: an argument is not a dict by camera name, or an input of a camera is missing or has another
+                shape.
         """
         return self.update(self.look(images, depths, intrinsics, world_from_cameras), world_from_gripper)
 
     def describe(self, images: Mapping[str, np.ndarray]) -> Described:
         """Descriptors of the images, which take nearly all of a step's time; images of one size form a batch."""
+        _check_dicts(images=images)
         by_size: dict[tuple[int, ...], list[str]] = {}
         for name in sorted(images):
             by_size.setdefault(images[name].shape, []).append(name)
@@ -185,6 +195,7 @@ class KeypointTracker:
         Args:
             described: result of `describe` for these images, if already computed.
         """
+        _check_dicts(images=images, depths=depths, intrinsics=intrinsics, world_from_cameras=world_from_cameras)
         # Copies, as a robot may reuse its arrays, and a belief refers to the previous frame.
         K = {name: np.array(intrinsics[name], dtype=np.float64) for name in images if name in intrinsics}
         poses = {
@@ -303,6 +314,36 @@ class KeypointTracker:
         for names, cells in described:
             distances |= dict(zip(names, self._network.maps(cells, self._references), strict=True))
         return distances
+
+
+def _existing(kind: type[Kind], path: Path | str) -> Kind:
+    """The artifact at a path; `BadData` names those that exist if there is none of this kind."""
+    artifact = kind(path)
+    path = artifact.path
+    # The folders above an artifact are Zarr groups too, and a network may come without a manifest and a group.
+    recorded = artifact.attributes.get("kind", "") if (path / "zarr.json").exists() else ""
+    if recorded == kind.kind or (kind is DescriptorNet and not recorded and (path / "model.json").exists()):
+        return artifact
+    if recorded:
+        got = f"one of kind {recorded!r}"
+    else:
+        got = "a folder without one" if path.is_dir() else "a file" if path.exists() else "no such folder"
+    for above in (path, *list(path.parents)[:2]):
+        folder = above if above.name == kind.kind else above / kind.kind
+        if there := sorted(manifest.parent for manifest in folder.glob(f"*/{MANIFEST}")):
+            fix = f"pass one of {', '.join(map(str, there))}."
+            break
+    else:
+        fix = f"pass ROOT/{kind.kind}/VARIANT; `bask-data info ROOT` lists what a dataset has."
+    raise BadData(path, "", expected=f"an artifact of kind {kind.kind!r}", got=got, fix=fix)
+
+
+def _check_dicts(**arguments: object) -> None:
+    """Raise `ValueError` for arguments that are not by camera name."""
+    for name, value in arguments.items():
+        if not isinstance(value, Mapping):
+            got = f"an array {value.shape}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
+            raise ValueError(f"{name}: expected a dict by camera name, got {got}")
 
 
 def _fitting(reference: ReferenceKeypoints, network: DescriptorNetwork) -> np.ndarray:

@@ -13,7 +13,7 @@ from bask_data.core.filters.table import FilterSettings, settings_named
 from bask_data.errors import BadData
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Robot
 from bask_data.stages.encode import EncodeParams, dropped, encode
-from bask_data.tracker import FrameObservations, KeypointTracker, TrackedKeypoints
+from bask_data.tracker import FrameObservations, KeypointTracker, TrackedKeypoints, moment_of
 from tests.tracked import N_FRAMES, ColourNetwork, dataset_of, keypoints, poses, side_poses
 
 FILTERS = ("expectation", "discrete", "particle")
@@ -323,3 +323,43 @@ def test_inputs_that_would_corrupt_the_belief_are_refused(
     arguments = {name: {} if value is None else {"a": value} for name, value in given.items()}
     with pytest.raises(ValueError, match=message):
         KeypointTracker(ColourNetwork(), reference).step(**arguments)
+
+
+@pytest.mark.parametrize("argument", ["images", "depths", "intrinsics", "world_from_cameras"])
+def test_an_argument_that_is_not_by_camera_is_refused(
+    demonstration: Demonstration, reference: ReferenceKeypoints, argument: str
+) -> None:
+    tracker = KeypointTracker(ColourNetwork(), reference)
+    moment = moment_of([demonstration.camera("wrist")], 0)._asdict()
+    for value, got in ((moment[argument]["wrist"], r"an array \(.*\)"), ([moment[argument]["wrist"]], "a list")):
+        with pytest.raises(ValueError, match=f"^{argument}: expected a dict by camera name, got {got}$"):
+            tracker.step(**(moment | {argument: value}))
+    assert tracker.n_steps == 0
+
+
+def test_a_path_without_the_artifact_is_refused_and_those_there_are_named(
+    reaching: bask_data.dataset.Dataset, tmp_path: Path
+) -> None:
+    root = reaching.root
+    descriptor, reference = reaching.path(DescriptorNet), reaching.path(ReferenceKeypoints)
+    for wrong in (root / "reference" / "mian", root / "reference", root):
+        with pytest.raises(BadData, match="expected an artifact of kind 'reference', got ") as caught:
+            KeypointTracker(ColourNetwork(), wrong)
+        assert caught.value.fix == f"pass one of {reference}."
+    with pytest.raises(
+        BadData, match="expected an artifact of kind 'descriptor', got one of kind 'reference'"
+    ) as caught:
+        KeypointTracker(reference, descriptor)
+    assert caught.value.fix == f"pass one of {descriptor}."
+    with pytest.raises(BadData, match="got no such folder.  fix: pass ROOT/descriptor/VARIANT"):
+        KeypointTracker(tmp_path / "nowhere", reference)
+
+
+def test_a_tracker_shows_its_keypoints_filter_cameras_and_steps(
+    demonstration: Demonstration, reference: ReferenceKeypoints
+) -> None:
+    tracker = KeypointTracker(ColourNetwork(), reference, settings_of("expectation"))
+    kind = type(settings_of("expectation")).__name__
+    assert repr(tracker) == f"KeypointTracker(3 keypoints, {kind}, cameras: none yet, steps: 0)"
+    stepped(tracker, demonstration, 0, ["side", "wrist"])
+    assert repr(tracker) == f"KeypointTracker(3 keypoints, {kind}, cameras: side, wrist, steps: 1)"
