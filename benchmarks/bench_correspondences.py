@@ -1,7 +1,7 @@
 """Matches of pairs of views against a plain loop over matches, and against a plain NumPy version of a pair.
 
-The plain versions do what is usually done and no more: measured depth, the nearest pixel's depth in the other view and
-its mask; neither sub-pixel depth nor the way back. All get frames in memory, each pair its masks for the first time.
+The plain versions do what is usual and no more: measured depth, the depth of the nearest pixel in the other view and
+its mask; no sub-pixel depth and no cycle check. All get frames in memory, and each pair loads its masks afresh.
 """
 
 from __future__ import annotations

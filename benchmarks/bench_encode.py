@@ -1,7 +1,7 @@
-"""`encode` of two cameras of 256x256 against nothing but the network's forward pass, and the distance maps it makes.
+"""`encode` of two cameras of 256x256 against the bare forward pass of the network, and against its distance maps.
 
-16 keypoints, D = 64, ResNet-18, 2000 particles: the size of a BASK network. The first case is not the same work on both
-sides: it tells what `encode` costs beside the network. The bar is 1.15 times, a ratio of 0.87.
+16 keypoints, D = 64, ResNet-18, 2000 particles: the size of a BASK network. The two sides of the first case do not do
+the same work: it shows what `encode` costs on top of the network. Target: 1.15 times as long, a ratio of 0.87.
 """
 
 from __future__ import annotations

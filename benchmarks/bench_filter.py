@@ -1,7 +1,7 @@
-"""The filters on two cameras of 256x256, 16 keypoints and 64 dimensions of descriptor.
+"""The filters on two cameras of 256x256, 16 keypoints and descriptors of 64 dimensions.
 
-Two cases are not the same work on both sides. The first tells how much a filter step adds to the network's forward pass
-before it: the bar is 15 %, a ratio of 6.7. The last holds the step on ready maps against making the maps: 1 or more.
+The two sides of two cases do not do the same work. The first shows what a filter step adds to the network's forward
+pass; target: 15 %, a ratio of 6.7. The last compares the step on ready maps with making the maps; target: 1 or more.
 """
 
 from __future__ import annotations

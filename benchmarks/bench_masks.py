@@ -1,9 +1,9 @@
-"""Visible masks of a frame against nothing but casting one ray through each of its pixels at the same mesh.
+"""Visible masks of a frame against casting one ray through each of its pixels at the same mesh.
 
-Ours decides by ray and measurement, and counts how much of each object is hidden; it casts only where an object may be.
-The second case fills the image with objects, so that nothing can be left out; the third leaves out a third of the
-depth besides, in patches, so that holes and colours are asked about. All that the stage does for a frame is in it but
-reading and writing. The bar is a ratio of 0.77 (1.3 times as long).
+Ours combines rays with measured depth and counts how much of each object is occluded; it casts rays only where an
+object may be. In the second case objects fill the image, so no ray can be left out; in the third a third of the depth
+is missing too, in patches, so that holes and colours are evaluated. Everything the stage does for a frame is included
+except reading and writing. Target: a ratio of 0.77 (1.3 times as long).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Clusters of a million points against scikit-learn's DBSCAN on the same points.
 
-The bars: 20 times faster, an adjusted Rand index of 0.999 between the two, and at most 200 MB more memory; each case's
-name says the latter two. scikit-learn keeps all neighbours of all points: at 1 mm and eps 3 cm, 2800 of them each, it
-needs more than 20 GB, so a million points are either dense or have neighbours that are far away for their density.
+Targets: 20 times faster, an adjusted Rand index of 0.999 between the two, and at most 200 MB more memory; the name of
+each case states the latter two. scikit-learn keeps all neighbours of all points: at 1 mm and eps 3 cm, 2800 each, it
+needs more than 20 GB, so a million points are either dense or have few neighbours within eps.
 `python benchmarks/bench_objects.py` times ours alone on that case.
 """
 

@@ -1,7 +1,7 @@
-"""Heat maps of the picker, seven frames for every move of the pointer: from descriptors at stride 8, or from full ones.
+"""Heat maps of the picker, seven frames for each move of the pointer: from descriptors at stride 8, or from full ones.
 
-The size of a page with a BASK network: D = 64, 256x256. The bar is what a person takes for at once, 100 ms, and the
-browser needs its part of that.
+The size of a page with a BASK network: D = 64, 256x256. The target is what people perceive as immediate, 100 ms, and
+the browser needs a part of that.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The whole stage `reconstruct` against the bare loop of Open3D it is built on.
+"""The whole stage `reconstruct` against the bare Open3D loop it is built on.
 
-Not the same work on both sides: ours reads every frame from the dataset, cleans its depth, looks over the scan for the
-workspace, extracts the mesh and writes it; the bare loop only integrates frames that lie in memory, into a volume
-whose size it is told. The bar is a ratio of 0.9.
+The two sides do not do the same work: ours reads every frame from the dataset, cleans its depth, surveys the scan for
+the workspace, extracts the mesh and writes it; the bare loop only integrates frames from memory into a volume of known
+size. Target: a ratio of 0.9.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Batches against a plain way of making them.
+"""Training batches against a plain way of making them.
 
-A plain pair tries 10 000 pixels of the object one by one, projects each, and looks for non-matches one by one; ours
-reads matches that were made once, and draws all non-matches together. Both change their images alike.
+A plain pair tries 10 000 pixels of the object one by one, projects each, and searches for non-matches one by one; ours
+reads precomputed matches and draws all non-matches together. Both augment their images in the same way.
 """
 
 from __future__ import annotations

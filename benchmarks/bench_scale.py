@@ -1,14 +1,14 @@
-"""Commands that look at a whole dataset, over the number of its scenes: the cost of a scene must not grow with it.
+"""Commands that look at a whole dataset, over the number of its scenes: cost per scene must not grow with the dataset.
 
-`ours` is a command on many scenes and `plain` one on a quarter of them, made four times: a cost that grows with the
-number of scenes gives a ratio of 1 (and more, since a command has a fixed cost), one that grows with its square 0.25.
-The bar is a time at 1,600 scenes of at most 4.4 times that at 400, a ratio of 0.91. Ingesting into 2,000 scenes is held
-against ingesting into one: the bar is 0.83, 20 % more.
+`ours` is a command on many scenes and `plain` one on a quarter of them, run four times: cost linear in the number of
+scenes gives a ratio of 1 (or more, since a command has a fixed cost), quadratic cost 0.25. Target: a time at 1,600
+scenes of at most 4.4 times that at 400, a ratio of 0.91. Ingesting into 2,000 scenes is compared with ingesting into
+one; target: 0.83, 20 % more.
 
     python benchmarks/bench_scale.py         seconds of every command at 400, 1,600 and 2,000 scenes, as processes
 
-The bars there: `status` 8 s, `run --dry-run` 10 s, `info` 4 s at 2,000 scenes. The scenes are hard links of a tiny one
-that is up to date in all stages of a scene, but for the manifests, which name their scene's inputs.
+Targets there: `status` 8 s, `run --dry-run` 10 s, `info` 4 s at 2,000 scenes. The scenes are hard links of a tiny one
+whose scene stages are all up to date; only the manifests, which name the inputs of their scene, are files of their own.
 """
 
 from __future__ import annotations

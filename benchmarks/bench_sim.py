@@ -1,7 +1,7 @@
 """Fifty steps of the simulator, each seen by two cameras, against MuJoCo's own renderer in a loop.
 
-A step is one twentieth of a second of physics, then colour, depth and labels of two 256x256 cameras. Ours draws a
-picture in two passes where MuJoCo's renderer takes three. The bar is fifty steps a second: `ours` below one second.
+A step is one twentieth of a second of physics, then colour, depth and labels of two 256x256 cameras. Ours renders an
+image in two passes where MuJoCo's renderer takes three. Target: fifty steps a second, `ours` below one second.
 """
 
 from __future__ import annotations

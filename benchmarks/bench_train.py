@@ -1,6 +1,6 @@
-"""Training on frames that are read and augmented as they are needed, against plain steps on one batch of tensors.
+"""Training with frames read and augmented on demand, against plain steps on one batch of tensors.
 
-The frames lie on disk and none is kept, which is the worst that can happen: training keeps those that fit in memory.
+Frames are on disk and none is cached, the worst case: training caches those that fit in memory.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""How well networks find in views they have not seen what they saw in others: `python benchmarks/descriptors.py`.
+"""How well networks find in held-out views what they saw in others: `python benchmarks/descriptors.py`.
 
-Four simulated tasks, five scans of each to learn from and one to measure on, 256x256. `tabletop` is the default of
-`bask-data train`; `base` is the Dense Object Net of before (`--preset florence`) with the same network, the same number
-of steps and images as large. An hour on two cores; each training is asked to take ten minutes at most on idle ones.
+Four simulated tasks, five scans of each to train on and one to measure on, 256x256. `tabletop` is the default of
+`bask-data train`; `base` is the base DON (`--preset florence`) with the same network, number of steps and image size.
+An hour on two cores; each training should take at most ten minutes on idle ones.
 """
 
 from __future__ import annotations

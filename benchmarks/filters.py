@@ -1,9 +1,9 @@
-"""How right the filters are when descriptors are: `python benchmarks/filters.py`.
+"""Accuracy of the filters with perfect descriptors: `python benchmarks/filters.py`.
 
-Object coordinates stand in for descriptors, so that the filter alone is judged: a pixel's distance to a keypoint is
-twice the way between the two on the object, in decimetres, and 2 at most; 2 off the object. Two demonstrations of
-each of the four simulated tasks, seen by the wrist camera alone and by both cameras; and two boxes that nothing but
-their places tell apart, of which one is seen before the other comes into view. Ten minutes on two cores.
+Object coordinates stand in for descriptors, so that only the filter is measured: the distance of a pixel to a keypoint
+is twice the distance between the two on the object, in decimetres, and at most 2; 2 off the object. Two demonstrations
+of each of the four simulated tasks, seen by the wrist camera alone and by both cameras; and two identical boxes that
+differ only in their position, of which one is seen before the other comes into view. Ten minutes on two cores.
 """
 
 from __future__ import annotations
@@ -135,9 +135,9 @@ class Track:
     """What a filter made of one demonstration. All but `error` are the same for all filters.
 
     Attributes:
-        error: (t, k) metres from the truth.
+        error: (t, k) metres from ground truth.
         is_seen: (t, k) whether a camera sees the keypoint, `in_view`: whether it is in the image of one.
-        place: (t, k, 3) the truth.
+        place: (t, k, 3) ground truth.
     """
 
     error: np.ndarray
@@ -266,7 +266,7 @@ def _between(start: np.ndarray, end: np.ndarray, n: int) -> Iterator[np.ndarray]
 
 
 def not_confused(filters: dict[str, FilterSettings], n_seeds: int) -> dict[str, float]:
-    """Share of the keypoints that end within 5 cm of the truth; their twins are 20 cm away."""
+    """Share of the keypoints that end within 5 cm of ground truth; their twins are 20 cm away."""
     right: dict[str, list[bool]] = {name: [] for name in filters}
     for seed in progress(range(n_seeds), "twins"):
         beliefs: dict[str, Any] = dict.fromkeys(filters)
@@ -341,9 +341,9 @@ def main(arguments: list[str]) -> int:
         for name in filters:
             print(printed(name, found[name]))
         table[cameras] = found
-    table["twins told apart"] = not_confused(filters, options.twins) if options.twins else {}
-    for name, share in table["twins told apart"].items():
-        print(f"twins told apart by {name}: {share:.3f}")
+    table["identical objects distinguished"] = not_confused(filters, options.twins) if options.twins else {}
+    for name, share in table["identical objects distinguished"].items():
+        print(f"identical objects distinguished by {name}: {share:.3f}")
     if options.json:
         options.json.write_text(json.dumps(table, indent=2) + "\n")
     return 0 if "particle" not in filters or all(verdicts(table)) else 1
@@ -352,7 +352,7 @@ def main(arguments: list[str]) -> int:
 def verdicts(table: dict[str, Any]) -> Iterator[bool]:
     """Whether the particle filter is as good as is asked of it."""
     for cameras, found in table.items():
-        if cameras == "twins told apart":
+        if cameras == "identical objects distinguished":
             checks = [(cameras, found["particle"] >= 0.95)] if found else []
         else:
             of = found["particle"]

@@ -1,7 +1,7 @@
-"""How soon the picker shows heat maps after the pointer has moved: `python benchmarks/hover.py`.
+"""Latency of the picker's heat maps after a move of the pointer: `python benchmarks/hover.py`.
 
-In a real Chromium, from the pointer's event to all of the page's views drawn: the request, the maps, the answer,
-and the painting. Pages as a BASK network has them: D = 64, 256x256. Up to 100 ms feel as if at once.
+In a real Chromium, from the pointer event until all views of the page are drawn: request, maps, answer and painting.
+Pages as with a BASK network: D = 64, 256x256. Up to 100 ms feel immediate.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""How right tracked keypoints are with a trained network: `python benchmarks/keypoints.py`.
+"""Accuracy of tracked keypoints with a trained network: `python benchmarks/keypoints.py`.
 
-The correspondence study of the paper (von Hartz et al. 2023, Sec. IV-A) on its two simulated tasks with the lid of a
-saucepan and with rubbish: five scans of each to learn from, five demonstrations to track 16 keypoints in, seen by the
-wrist camera alone. `ours` is the default of `bask-data train` with larger crops, from nearer; `base` is the Dense
-Object Net of before with the same network, images and steps. Three quarters of an hour on two cores. The figures are
-drawn into build/accuracy/keypoints/figures.
+The correspondence study of the paper (von Hartz et al. 2023, Sec. IV-A) on two simulated tasks, with the lid of a
+saucepan and with rubbish: five scans of each to train on, five demonstrations in which 16 keypoints are tracked, seen
+by the wrist camera alone. `ours` is the default of `bask-data train` with larger crops, from closer views; `base` is
+the base DON with the same network, images and steps. Three quarters of an hour on two cores. The figures are drawn
+into build/accuracy/keypoints/figures.
 """
 
 from __future__ import annotations

@@ -1,17 +1,17 @@
 """How well single views of cluttered tables are split into objects: `python benchmarks/organised_clouds.py DIR`.
 
-DIR holds labelled organised clouds as PCD files (labels as the modified Object Segmentation Database has them: 0
-invalid, 1 to 9 the table, else object = label // 10). Each view is made a surface of triangles between neighbouring
-pixels at like depths and is split as `bask-data objects` does with its defaults.
+DIR holds labelled organised clouds as PCD files (labels as in the modified Object Segmentation Database: 0 invalid, 1
+to 9 the table, else object = label // 10). Each view becomes a surface of triangles between neighbouring pixels at
+similar depths and is split as `bask-data objects` does with its defaults.
 
-The F-score of an object and an instance is 2 |A and B| / (|A| + |B|), A and B their points, invalid points left out. Of
-all one-to-one assignments of instances to objects the best counts. A scene's F-score is the mean over its objects, a
-missed one with 0; what was found beside them is counted in a column of its own.
+The F-score of an object and an instance is 2 |A and B| / (|A| + |B|), where A and B are their points without invalid
+ones. The best one-to-one assignment of instances to objects counts. The F-score of a scene is the mean over its
+objects, a missed one with 0; surplus instances are counted in a column of their own.
 
-In a single view something in front may cut an object into parts far from each other. The labels tell these apart (20,
-21, ...), a split by gaps cannot join them: *by part* is the mean over what is seen in one piece, *strict* the one over
-whole objects with a 0 for each instance that belongs to none. Objects *touch* when a point of one is within eps of a
-point of another: a split by gaps cannot tell those apart, and they are no part of the mean.
+In a single view an occluder may cut an object into distant parts. The labels distinguish these (20, 21, ...), a split
+by gaps cannot join them: *by part* is the mean over connected parts, *strict* the one over whole objects with a 0 for
+each instance that belongs to none. Objects *touch* when a point of one is within eps of a point of another: a split
+by gaps cannot separate those, and they are not part of the mean.
 """
 
 from __future__ import annotations

