@@ -138,15 +138,17 @@ def record_requested(
         items: items of the request; empty for all, including later ones.
         files: files that parameters name.
     """
-    own = of_stage(own, stage.name)
+    own_of_stage = of_stage(own, stage.name)
     digests = {str(file): file_digest(file) for file in set(files) if file.is_file()}
 
     def changed(current: Requested) -> Requested:
-        recorded = _recorded(current, own, dataset, stage, request, items or None)
+        recorded = _recorded(current, own_of_stage, dataset, stage, request, items or None)
+        parameters = _replaced(current.parameters, stage, recorded)
+        named = {*digests, *_texts(parameters), *_texts(own)}
         return Requested(
-            parameters=_replaced(current.parameters, stage, recorded),
-            overridden=_replaced(current.overridden, stage, _restricted(own, _fields(recorded))),
-            files={**current.files, **digests},
+            parameters=parameters,
+            overridden=_replaced(current.overridden, stage, _restricted(own_of_stage, _fields(recorded))),
+            files={file: digest for file, digest in {**current.files, **digests}.items() if file in named},
         )
 
     current = read_requested(dataset.root)
@@ -171,6 +173,12 @@ def _replaced(config: Config, stage: Stage, sections: Config) -> Config:
 
 def _as_json(value: Any) -> Any:
     return to_jsonable_python(value, fallback=str, inf_nan_mode="strings")
+
+
+def _texts(config: Config) -> set[str]:
+    """All parameters that are text, as paths; some name files."""
+    values = [value for section in config.values() for value in section.values()]
+    return {str(Path(value)) for value in values if isinstance(value, str)}
 
 
 def _fields(config: Config) -> set[str]:

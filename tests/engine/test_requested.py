@@ -210,6 +210,18 @@ def test_missing_file_without_a_record_leaves_the_state_unknown(dataset: Dataset
     assert (state.blocked.kind, state.blocked.fix) == ("file missing", "check the path.")
 
 
+def test_a_file_that_no_parameter_names_any_more_is_forgotten(dataset: Dataset, tmp_path: Path) -> None:
+    files = [tmp_path / "first", tmp_path / "second"]
+    for file in files:
+        file.write_text(file.name)
+    (dataset.root / PARAMS).write_text(f"fuse@b: {{file: {files[1]}}}")
+    made(dataset, only=("a",), options={"file": str(files[0])})
+    made(dataset)
+    assert list(read_requested(dataset.root).files) == list(map(str, files))
+    made(dataset, only=("a",), options={"file": None})
+    assert list(read_requested(dataset.root).files) == [str(files[1])]
+
+
 def test_a_run_of_all_stages_records_the_parameters_of_those_that_have_nothing_to_process_yet(
     dataset: Dataset,
 ) -> None:
