@@ -20,6 +20,7 @@ from bask_data.engine.state import Blocked, State, key_parts, state_of, state_or
 from bask_data.engine.tasks import Task, parameter_files
 from bask_data.errors import BaskError
 from bask_data.progress import report
+from bask_data.spelling import choices
 
 
 @dataclass(frozen=True)
@@ -132,14 +133,14 @@ def predicted(
         state = state_or_blocked(task, seen)
         missing = state.blocked.paths if state.blocked else ()
         if missing and coming.issuperset(missing):
-            state = State("missing", f"after {', '.join(path.relative_to(task.root).as_posix() for path in missing)}")
+            state = State("missing", f"after {choices(path.relative_to(task.root).as_posix() for path in missing)}")
         status = cast(Any, state.status)
         remade = [binding.place for binding in task.bindings if task.root / binding.place in coming]
         if status in ("missing", "stale") or (force and status == "up to date"):
             status = "would make"
         elif status == "up to date" and remade:
             # It stays as it is if its inputs turn out the same again.
-            status, state = "may make", State("up to date", f"if this changes: {', '.join(remade)}")
+            status, state = "may make", State("up to date", f"if this changes: {choices(remade)}")
         if status in ("would make", "may make"):
             coming.add(task.target)
         yield Outcome(
