@@ -39,6 +39,26 @@ _PLAIN = {
 }
 """Plain words by pydantic's error code, where its message is not usable."""
 
+NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
+"""Pattern of a camera's name, which becomes the name of a folder."""
+
+SIZE = r"^(\d+x\d+)?$"
+"""Pattern of an image size in pixels; may be empty."""
+
+WHOLE_NUMBERS = r"^(\d+(,\d+)*)?$"
+"""Pattern of a list of whole numbers; may be empty."""
+
+SHA256 = "^[0-9a-f]{64}$"
+"""Pattern of a digest."""
+
+PATTERNS = {
+    NAME: "letters, digits, '_' and '-', beginning with a letter or digit",
+    SIZE: "WIDTHxHEIGHT in pixels, for instance 640x480",
+    WHOLE_NUMBERS: "whole numbers separated by commas, for instance 65535",
+    SHA256: "a SHA-256, 64 hexadecimal digits",
+}
+"""Plain words by pattern: a regular expression does not tell a user what to write."""
+
 _OF_TYPE = re.compile(rf"({'|'.join(_TYPES)})_(type|parsing|parsing_size)")
 
 
@@ -78,6 +98,8 @@ def _expected(code: str, message: str, context: Mapping[str, Any]) -> str:
         return _TYPES[of_type[1]]
     if code == "literal_error":
         return "one of " + context["expected"].replace("'", "").replace(" or ", ", ")
+    if code == "string_pattern_mismatch" and context["pattern"] in PATTERNS:
+        return PATTERNS[context["pattern"]]
     if code in ("too_short", "too_long"):
         bound = ("at least", context.get("min_length")) if code == "too_short" else ("at most", context["max_length"])
         return f"{bound[0]} {bound[1]} values"

@@ -1,11 +1,16 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, Literal
 
 import pytest
 from pydantic import Field, JsonValue, ValidationError
 
-from bask_data.params import Params, first_fault
+from bask_data.formats import FORMATS
+from bask_data.formats.options import FramesOptions
+from bask_data.params import PATTERNS, Params, first_fault
+from bask_data.pipeline import STAGES
+from bask_data.sim.options import SimOptions
 
 
 class Inner(Params):
@@ -72,3 +77,27 @@ def test_the_path_to_a_deeply_nested_value_is_cut() -> None:
         Nested.model_validate({"value": {"x": nested}})
     field, _, _ = first_fault(caught.value)
     assert field.startswith("value.x.list.0.") and field.endswith("...") and len(field) < 100
+
+
+def _patterns(model: type[Params]) -> Iterator[str]:
+    for field in model.model_fields.values():
+        yield from (found.pattern for found in field.metadata if getattr(found, "pattern", None))
+
+
+@pytest.mark.parametrize("model", [*(format.options for format in FORMATS), SimOptions, *(s.params for s in STAGES)])
+def test_every_pattern_of_an_option_has_plain_words(model: type[Params]) -> None:
+    assert set(_patterns(model)) <= set(PATTERNS)
+
+
+@pytest.mark.parametrize(
+    ("option", "expected"),
+    [
+        ({"intrinsics_size": "640"}, "WIDTHxHEIGHT in pixels, for instance 640x480"),
+        ({"invalid_depth": "a"}, "whole numbers separated by commas, for instance 65535"),
+        ({"camera": "left cam"}, "letters, digits, '_' and '-', beginning with a letter or digit"),
+    ],
+)
+def test_text_of_the_wrong_form_is_reported_without_its_pattern(option: dict[str, str], expected: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        FramesOptions.model_validate(option)
+    assert first_fault(caught.value)[1] == expected

@@ -6,13 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, FiniteFloat
 
-from bask_data.params import Params
+from bask_data.params import NAME, SIZE, WHOLE_NUMBERS, Params
 
 Text = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(value, int | float) else value)]
 """A text that may be a number in a configuration file: `invalid_depth: 65535`."""
-
-NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
-"""Pattern of a camera's name, which becomes the name of a folder."""
 
 
 class FramesOptions(Params):
@@ -35,7 +32,7 @@ class FramesOptions(Params):
     )
     intrinsics_size: str = Field(
         "",
-        pattern=r"^(\d+x\d+)?$",
+        pattern=SIZE,
         description="WIDTHxHEIGHT of the images used to calibrate the intrinsics; checked against the files.",
     )
     depth_scale: FiniteFloat = Field(
@@ -43,7 +40,7 @@ class FramesOptions(Params):
     )
     invalid_depth: Text = Field(
         "",
-        pattern=r"^(\d+(,\d+)*)?$",
+        pattern=WHOLE_NUMBERS,
         description="Raw depth values besides 0 that mean no measurement, separated by commas: 65535.",
     )
     pose_is: Literal["world_from_camera", "camera_from_world"] = Field(
@@ -69,7 +66,7 @@ class TumOptions(Params):
     )
     intrinsics_size: str = Field(
         "",
-        pattern=r"^(\d+x\d+)?$",
+        pattern=SIZE,
         description="WIDTHxHEIGHT of the images used to calibrate the intrinsics; checked against the files.",
     )
     depth_scale: FiniteFloat = Field(0.0002, gt=0, description="Metres per unit of the depth files.")
