@@ -33,6 +33,8 @@ MANIFEST = "artifact.json"
 SCRATCH = ".scratch"
 REMAKE = "make it again with --force, a recording with `bask-data ingest`."
 """The fix for an artifact with invalid content."""
+RESTORE = "correct the file, or restore it from a copy."
+"""The fix for a file with invalid content that cannot be made again."""
 MOST_JSON_BYTES = 64 * 2**20
 """Largest JSON document that is read, in bytes; ours are far smaller."""
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
@@ -199,7 +201,7 @@ def file_digest(path: Path) -> str:
 def read_attributes(group: Path) -> dict[str, Any]:
     """The attributes of a Zarr v3 group, without the cost of importing zarr; `BadData` if it is not one."""
     file = group / "zarr.json"
-    document = read_json(file)
+    document = read_json(file, REMAKE)
     if not isinstance(document, dict) or document.get("node_type") != "group" or document.get("zarr_format") != 3:
         raise BadData(file, "node_type", expected="a Zarr v3 group", got=str(document)[:60], fix=REMAKE)
     attributes = document.get("attributes", {})
@@ -213,16 +215,38 @@ def write_group(path: Path, attributes: dict[str, Any]) -> None:
     (path / "zarr.json").write_text(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
-def read_json(file: Path) -> Any:
-    """A JSON document; `BadData` with the path if it is missing, too large or invalid."""
+def read_json(file: Path, fix: str = RESTORE) -> Any:
+    """A JSON document; `BadData` with the path if it is missing, too large or invalid.
+
+    Args:
+        fix: what to do about an invalid document, for the error.
+    """
     try:
-        if file.stat().st_size > MOST_JSON_BYTES:
-            raise BadData(file, "", expected="a JSON document below 64 MiB", got=f"{file.stat().st_size} bytes")
+        size = file.stat().st_size
+        if size > MOST_JSON_BYTES:
+            raise BadData(file, "", expected="a JSON document below 64 MiB", got=f"{size} bytes", fix=fix)
         return json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise BadData(file, "", expected="a file", got="nothing") from None
+        raise BadData(file, "", expected="a file", got="nothing", fix=fix) from None
     except (ValueError, RecursionError, OSError) as error:
-        raise BadData(file, "", expected="a JSON document", got=str(error)) from error
+        raise BadData(file, "", expected="a JSON document", got=_json_fault(error), fix=fix) from error
+
+
+def _json_fault(error: Exception) -> str:
+    """What is wrong with a JSON file, in plain words: Python's messages are about its parser."""
+    if isinstance(error, json.JSONDecodeError):
+        if not error.doc.strip():
+            return "an empty file"
+        return f"a syntax error in line {error.lineno}, column {error.colno}"
+    if isinstance(error, UnicodeDecodeError):
+        return "bytes that are not UTF-8 text"
+    if isinstance(error, RecursionError):
+        return "values nested too deeply"
+    if isinstance(error, IsADirectoryError):
+        return "a directory"
+    if isinstance(error, OSError):
+        return f"a file that cannot be read ({(error.strerror or 'unknown error').lower()})"
+    return "a number with too many digits"
 
 
 def write_json_atomically(file: Path, value: object) -> None:
@@ -251,7 +275,7 @@ def read_manifest(path: Path) -> Manifest:
         if os.fstat(stream.fileno()).st_size <= MOST_JSON_BYTES:
             return Manifest.model_validate_json(stream.read())
     try:
-        return Manifest.model_validate(read_json(file))
+        return Manifest.model_validate(read_json(file, REMAKE))
     except ValidationError as error:
         field, expected, came = first_fault(error)
         raise BadData(file, field, expected=expected, got=came, fix=REMAKE) from error

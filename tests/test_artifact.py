@@ -113,17 +113,24 @@ def test_failed_replacement_leaves_no_temporary_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"{", "expected a JSON document"),
-        (b"\xff\xfe", "expected a JSON document"),
-        (b"[" * 100_000, "expected a JSON document"),
+        (b"{", "got a syntax error in line 1, column 2"),
+        (b" ", "got an empty file"),
+        (b"\xff\xfe", "got bytes that are not UTF-8 text"),
+        (b"[" * 100_000, "got values nested too deeply"),
+        (b"1" * 10_000, "got a number with too many digits"),
     ],
 )
 def test_invalid_json_is_reported_with_its_path(tmp_path: Path, content: bytes, message: str) -> None:
     file = tmp_path / "a.json"
     file.write_bytes(content)
-    with pytest.raises(BadData, match=message) as raised:
+    with pytest.raises(BadData, match=f"expected a JSON document, {message}.  fix: correct the file") as raised:
         read_json(file)
     assert str(file) in str(raised.value)
+
+
+def test_directory_in_place_of_a_json_file_is_reported(tmp_path: Path) -> None:
+    with pytest.raises(BadData, match="expected a JSON document, got a directory.  fix: make it again"):
+        read_json(tmp_path, "make it again.")
 
 
 def test_huge_json_is_not_read(tmp_path: Path) -> None:
@@ -135,7 +142,7 @@ def test_huge_json_is_not_read(tmp_path: Path) -> None:
 
 
 def test_missing_manifest_is_reported_with_its_path(tmp_path: Path) -> None:
-    with pytest.raises(BadData, match=r"artifact.json: expected a file, got nothing"):
+    with pytest.raises(BadData, match=r"artifact.json: expected a file, got nothing.  fix: make it again"):
         read_manifest(tmp_path)
 
 
