@@ -11,6 +11,7 @@ from filelock import FileLock
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from bask_data.artifact import (
+    RESTORE,
     SCRATCH,
     Artifact,
     read_json,
@@ -24,6 +25,8 @@ from bask_data.params import first_fault
 from bask_data.spelling import choices, suggestion
 
 DATASET = "dataset.json"
+DATASET_VERSION = 1
+"""Version of the format of `dataset.json` that is read and written."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
@@ -70,7 +73,7 @@ class DatasetFile(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    bask_dataset: int = 1
+    bask_dataset: int = DATASET_VERSION
     name: str
     licence: str = ""
     scenes: dict[str, Source] = {}
@@ -87,19 +90,14 @@ class Dataset:
         self.root = Path(root)
         file = self.root / DATASET
         if not file.exists():
-            raise BadData(
-                self.root,
-                "",
-                expected=f"a dataset (a directory with {DATASET})",
-                got="none",
-                fix=f"bask-data init {root}",
-            )
+            raise _no_dataset(self.root)
         try:
             self._text = file.read_bytes()
-            self.file = DatasetFile.model_validate(read_json(file))
+            document = read_json(file)
+            self.file = DatasetFile.model_validate(_of_known_version(document, file))
         except ValidationError as error:
             field, expected, came = first_fault(error)
-            raise BadData(file, field, expected=expected, got=came) from error
+            raise BadData(file, field, expected=expected, got=came, fix=RESTORE) from error
         for name in [*self.file.scenes, *self.file.demonstrations]:
             check_name(name, file)
         splits = self.file.splits
@@ -121,7 +119,7 @@ class Dataset:
         if (root / DATASET).exists():
             raise WouldOverwrite(root / DATASET, "", expected="no dataset", got="one", fix="use the existing dataset.")
         if root.exists() and not root.is_dir():
-            raise UsageError(root, "", expected="a directory", got="a file")
+            raise UsageError(root, "", expected="a directory", got="a file", fix="choose another path.")
         write_group(root, {"bask": {"dataset": 1}})
         content = DatasetFile(name=name or root.resolve().name, licence=licence)
         write_json_atomically(root / DATASET, content.model_dump(mode="json"))
@@ -206,13 +204,20 @@ class Dataset:
         def replaced(file: DatasetFile) -> DatasetFile:
             for name in names:
                 if name not in file.scenes:
-                    expected, fix = f"one of {choices(file.scenes) or 'no scenes'}", suggestion(name, file.scenes)
+                    expected = f"one of {choices(file.scenes) or 'no scenes'}"
+                    fix = suggestion(name, file.scenes) or f"`bask-data info {self.root}` lists the scenes."
                     raise UsageError(self.root / DATASET, "splits", expected=expected, got=name, fix=fix)
             return file.model_copy(update={"splits": splits})
 
         doubled = sorted({name for name in names if names.count(name) > 1})
         if doubled:
-            raise UsageError(self.root / DATASET, "splits", expected="each scene in one split", got=", ".join(doubled))
+            raise UsageError(
+                self.root / DATASET,
+                "splits",
+                expected="each scene in one split",
+                got=", ".join(doubled),
+                fix="name it in one of --train, --validation and --test.",
+            )
         self._update(replaced)
 
     def variants(self, artifact: type[Artifact]) -> dict[str, Variant]:
@@ -238,6 +243,25 @@ class Dataset:
             self.file, self._text = changed, (self.root / DATASET).read_bytes()
 
 
+def _no_dataset(root: Path) -> BadData:
+    """The error for a path without a dataset. A mistyped path is more likely than a dataset that is yet to be made."""
+    if root.is_file():
+        got, fix = "a file", f"give its directory: {root.parent}" if root.name == DATASET else "check the path."
+    else:
+        got, fix = "none", f"check the path, or create one: bask-data init {root}"
+    return BadData(root, "", expected=f"a dataset (a directory with {DATASET})", got=got, fix=fix)
+
+
+def _of_known_version(document: Any, file: Path) -> Any:
+    """The document; `BadData` if a newer version of this package wrote it, whose fields may mean something else."""
+    version = document.get("bask_dataset", DATASET_VERSION) if isinstance(document, dict) else DATASET_VERSION
+    if isinstance(version, int) and version != DATASET_VERSION:
+        newer = version > DATASET_VERSION
+        fix = "it was made by a newer version: upgrade bask-data." if newer else RESTORE
+        raise BadData(file, "bask_dataset", expected=str(DATASET_VERSION), got=version, fix=fix)
+    return document
+
+
 def artifact_place(artifact: type[Artifact], item: str = "", variant: str = "main") -> str:
     """Path of an artifact relative to its dataset, with forward slashes. Nothing is read."""
     parts = [artifact.kind]
@@ -258,12 +282,22 @@ def write_groups_above(root: Path, artifact: type[Artifact], variant: str = "mai
             write_group(parent, {"bask": {"dataset": 1}} if parent == root else {})
 
 
-def check_name(name: str, where: Path) -> None:
-    """`UsageError` for a name that is not a single plain directory."""
+def check_name(name: str, where: Path | str, field: str = "name") -> None:
+    """`UsageError` for a name that is not a single plain directory.
+
+    Args:
+        where, field: what states the name, for the error: a file and its field, or a command and its option.
+    """
     if not _NAME.fullmatch(name):
         raise UsageError(
             where,
-            "name",
+            field,
             expected="letters, digits, '_' and '-', at most 64, beginning with a letter or digit",
-            got=repr(name),
+            got=repr(name[:80]),
+            fix=f"for instance {_plain_name(name)}",
         )
+
+
+def _plain_name(name: str) -> str:
+    """The allowed name that is most like the given one."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_-")[:64] or "table"

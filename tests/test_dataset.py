@@ -27,8 +27,42 @@ def test_existing_dataset_is_not_made_again(tmp_path: Path) -> None:
 
 
 def test_directory_without_dataset_is_refused_with_the_command_that_makes_one(tmp_path: Path) -> None:
-    with pytest.raises(BadData, match="fix: bask-data init"):
+    with pytest.raises(BadData, match="fix: check the path, or create one: bask-data init"):
         Dataset(tmp_path)
+
+
+def test_path_of_a_file_is_refused_without_the_command_that_would_fail_on_it(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(BadData, match=r"notes.txt: expected a dataset .*, got a file\.  fix: check the path\.$"):
+        Dataset(tmp_path / "notes.txt")
+    Dataset.create(tmp_path)
+    with pytest.raises(BadData, match=rf"got a file\.  fix: give its directory: {tmp_path}$"):
+        Dataset(tmp_path / "dataset.json")
+
+
+@pytest.mark.parametrize(("version", "fix"), [(99, "made by a newer version: upgrade"), (0, "restore it")])
+def test_dataset_of_another_version_is_refused(tmp_path: Path, version: int, fix: str) -> None:
+    Dataset.create(tmp_path)
+    document = json.loads((tmp_path / "dataset.json").read_text()) | {"bask_dataset": version}
+    (tmp_path / "dataset.json").write_text(json.dumps(document))
+    with pytest.raises(BadData, match=rf"bask_dataset: expected 1, got {version}\.  fix: .*{fix}"):
+        Dataset(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["{", "", "[]", '{"name": 3}', "{}", '{"name": "d", "scenes": {"a": {}}}'])
+def test_every_error_of_a_damaged_dataset_file_has_a_fix(tmp_path: Path, text: str) -> None:
+    Dataset.create(tmp_path)
+    (tmp_path / "dataset.json").write_text(text)
+    with pytest.raises(BadData, match=r"expected .*, got .*\.  fix: correct the file, or restore it from a copy"):
+        Dataset(tmp_path)
+
+
+@pytest.mark.parametrize(("name", "allowed"), [("table ü", "table"), ("", "table"), ("../x", "x"), ("a b", "a_b")])
+def test_a_refused_name_comes_with_one_that_is_allowed(tmp_path: Path, name: str, allowed: str) -> None:
+    dataset = Dataset.create(tmp_path)
+    with pytest.raises(UsageError, match=f"fix: for instance {allowed}$"):
+        dataset.add("scene", name, SOURCE)
+    dataset.add("scene", allowed, SOURCE)
 
 
 def test_file_in_place_of_the_directory_is_refused(tmp_path: Path) -> None:

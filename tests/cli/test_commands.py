@@ -63,7 +63,7 @@ def test_json_is_the_only_output_on_stdout(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["status", "{root}/none"], 4, "fix: bask-data init"),
+        (["status", "{root}/none"], 4, "fix: check the path, or create one: bask-data init"),
         (["init", "{root}"], 3, "expected no dataset, got one"),
         (["reconstruct", "{root}", "--voxel-size", "-1"], 2, "voxel_size: expected"),
         (["reconstruct", "{root}", "--only", "b"], 2, "--only: expected one of a, got b"),
