@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from bask_data import errors as errors
     from bask_data import torch as torch
     from bask_data.notebook.opened import open as open
     from bask_data.tracker import KeypointTracker as KeypointTracker
@@ -15,16 +16,17 @@ __version__ = "0.1.0"
 __all__ = ["KeypointTracker", "__version__"]
 
 # Every import of a module imports this package, and the modules behind these names are slow to import.
-_LAZY = {"KeypointTracker": "bask_data.tracker", "open": "bask_data.notebook.opened", "torch": ""}
+_LAZY = {"KeypointTracker": "bask_data.tracker", "errors": "", "open": "bask_data.notebook.opened", "torch": ""}
 
 
 def __getattr__(name: str) -> object:
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    if name == "torch":
-        return import_module("bask_data.torch")
+    if not _LAZY[name]:
+        return import_module(f"bask_data.{name}")
     return getattr(import_module(_LAZY[name]), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LAZY})
+    # Without the submodules that happen to be imported, and what this file imports.
+    return sorted({*_LAZY, *(name for name in globals() if name.startswith("__"))})

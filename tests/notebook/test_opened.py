@@ -81,6 +81,13 @@ def test_a_star_leaves_the_builtin_open_and_does_not_load_torch() -> None:
     subprocess.run([sys.executable, "-c", f"{code}; KeypointTracker"], check=True)
 
 
+def test_the_package_offers_what_users_need_alone() -> None:
+    code = "import bask_data as bask, bask_data.stages; print(*(name for name in dir(bask) if name[0] != '_'))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["KeypointTracker", "errors", "open", "torch"]
+    assert bask.errors.BaskError
+
+
 def test_a_frame_has_its_arrays_in_metres(ds: OpenDataset) -> None:
     frames = ds.scans["table1"]
     assert len(frames) == N_FRAMES == len(list(frames)) and frames.cameras == ["wrist"]
