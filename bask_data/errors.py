@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -98,3 +100,16 @@ def imported(module: str, what: str, *, user: str, extra: str) -> ModuleType:
     except ModuleNotFoundError as error:
         fix = f"pip install 'bask-data[{extra}]'"
         raise MissingDependency(user, error.name or module, expected=what, got="none", fix=fix) from None
+
+
+def run(main: Callable[[], object]) -> None:
+    """Run the main function of a script; a `BaskError` ends the script with a line on stderr, not a traceback.
+
+    Raises:
+        SystemExit: with the exit code of the error.
+    """
+    try:
+        main()
+    except BaskError as error:
+        print("\n".join([f"error: {error}", *getattr(error, "__notes__", [])]), file=sys.stderr)
+        raise SystemExit(error.exit_code) from None

@@ -87,6 +87,17 @@ def test_a_script_draws_what_the_dataset_has(
     assert here.shape != there.shape or np.abs(here.astype(int) - there).mean() > 0.5
 
 
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_script_ends_with_one_line_if_there_is_no_dataset(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", [name, str(tmp_path / "nowhere")])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+    [line] = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {tmp_path / 'nowhere'}") and ended.value.code in (2, 4)
+
+
 def test_the_notebook_runs_and_every_result_can_be_shown(
     roots: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
