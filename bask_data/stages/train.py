@@ -201,8 +201,12 @@ def train(
     if there is one, several by `torchrun --nproc-per-node N -m bask_data.cli train ROOT`. TensorBoard shows the
     progress: `tensorboard --logdir ROOT/runs`.
     """
+    from bask_data.nn import warn_if_too_late
+    from bask_data.nn.network import best_device
     from bask_data.nn.processes import ALONE, TooManyProcesses, joined
 
+    if best_device().type == "cpu":
+        warn_if_too_late()
     try:
         with joined() if processes() > 1 else nullcontext(ALONE) as group:
             _train(
@@ -219,7 +223,6 @@ def train(
 
 
 def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Path, log: Path, group: Group) -> None:
-    from bask_data.nn import warn_if_too_late
     from bask_data.nn.network import best_device
     from bask_data.nn.sampling import Examples
     from bask_data.nn.state import remove_all_but_state, remove_damaged_state, remove_state, saved_step
@@ -232,8 +235,6 @@ def _train(scans: list[ScanPairs], splits: Splits, params: TrainParams, out: Pat
     if remove_damaged_state(out) and group.is_first:
         note("the state that an interrupted training saved is damaged: trained from the beginning")
     network = _network(params).to(best_device())
-    if group.is_first and network.device.type == "cpu":
-        warn_if_too_late()
     learned, held_out, validated_on, share = divided(scans, splits, params.held_out)
     if params.patience is not None and not held_out.n_pairs:
         fix = "set scenes aside with `bask-data split --validation`, or give a larger --held-out."
