@@ -68,7 +68,7 @@ def pick_keypoints(
         with FileLock(file.with_suffix(".lock"), timeout=0):
             desk = _desk(picking, task, file, say)
             try:
-                serve(desk, port, opened=opened)
+                _serve(desk, port, say, opened)
             except KeyboardInterrupt:
                 if not picking.outcomes:
                     raise
@@ -108,6 +108,20 @@ def _desk(picking: Picking, task: Task, file: Path, say: Callable[[str], None]) 
         draft.add(propose(params.scene or _first_scene(dataset), params.n))
     title = " · ".join(part for part in (dataset.file.name, "" if task.variant == "main" else task.variant) if part)
     return Desk(gallery, draft, propose=propose, save=save, title=title)
+
+
+def _serve(desk: Desk, port: int, say: Callable[[str], None], opened: Callable[[str], None]) -> None:
+    """Serve the page, then wait for a save that the server left in a thread: only its end tells what was saved."""
+    try:
+        serve(desk, port, opened=opened)
+    finally:
+        desk.jobs.cancel()
+        while job := desk.jobs.state():
+            try:
+                say(f"waiting for the end of {job['name']}")
+                desk.jobs.wait()
+            except KeyboardInterrupt:
+                continue  # The thread cannot be stopped, and writes on.
 
 
 def _recordings(dataset: Dataset) -> dict[str, Recording]:

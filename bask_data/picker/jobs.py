@@ -42,6 +42,7 @@ class Jobs:
         self._clock = clock
         self._job: _Job | None = None
         self._lock = threading.Lock()
+        self._is_idle = threading.Condition(self._lock)
 
     @contextmanager
     def running(self, name: str, *, can_cancel: bool) -> Iterator[None]:
@@ -72,6 +73,12 @@ class Jobs:
         finally:
             with self._lock:
                 self._job = None
+                self._is_idle.notify_all()
+
+    def wait(self) -> None:
+        """Wait until no job is running."""
+        with self._is_idle:
+            self._is_idle.wait_for(lambda: self._job is None)
 
     def cancel(self) -> None:
         """Stop the running job at its next step, if it can be cancelled."""

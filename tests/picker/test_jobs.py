@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 
 import pytest
@@ -84,3 +85,15 @@ def test_two_jobs_at_once_are_refused_and_an_error_ends_the_first() -> None:
     with pytest.raises(KeyError), jobs.running("propose", can_cancel=True):
         raise KeyError
     assert jobs.state() is None
+
+
+def test_waiting_ends_with_the_job() -> None:
+    jobs, ended = Jobs(), []
+    jobs.wait()
+    with jobs.running("save", can_cancel=False):
+        waiting = threading.Thread(target=lambda: (jobs.wait(), ended.append(jobs.state())))
+        waiting.start()
+        waiting.join(0.1)
+        assert waiting.is_alive()
+    waiting.join(30)
+    assert ended == [None]

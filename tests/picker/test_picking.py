@@ -11,6 +11,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+import bask_data.picker
 from bask_data.artifact import SCRATCH
 from bask_data.cli.app import app
 from bask_data.config import load_config
@@ -266,6 +267,30 @@ def test_picks_are_up_to_date_without_options_whatever_was_given_before(
     command("--auto", "--n", 2)
     command(*picking)
     assert len(ReferenceKeypoints(pickable_copy.path(ReferenceKeypoints)).picks) > 0
+
+
+def test_ctrl_c_during_a_save_waits_for_its_end(pickable_copy, monkeypatch) -> None:
+    reached, interrupted = threading.Event(), threading.Event()
+    saved = bask_data.picker._saved
+
+    def slow(picking: Picking, picks: list[str]) -> Outcome:
+        reached.set()
+        assert interrupted.wait(60)
+        return saved(picking, picks)
+
+    def left_running(desk: Desk, port: int, opened: object) -> None:
+        desk.edit(EditRequest(do="add", at=FramePixel(frame=frame("a", 1), u=40.0, v=50.0)))
+        threading.Thread(target=desk.save, args=[EmptyRequest()]).start()
+        assert reached.wait(60)
+        threading.Timer(0.5, interrupted.set).start()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bask_data.picker.serve", left_running)
+    monkeypatch.setattr("bask_data.picker._saved", slow)
+    ended = CliRunner().invoke(app, ["reference", str(pickable_copy.root), "--pick", "--no-browser"])
+    assert ended.exit_code == 0, ended.stderr
+    assert "waiting for the end of save" in ended.stderr and "interrupted" not in ended.stderr
+    assert "made" in ended.stderr and not list((pickable_copy.root / SCRATCH).glob("picks*.json"))
 
 
 def picked(dataset: Dataset, **options: object) -> None:
