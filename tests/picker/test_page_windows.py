@@ -110,3 +110,25 @@ def test_proposing_shows_progress_across_a_reload_and_can_be_cancelled(page, pag
         propose(3)
         count(page, 3)
         playwright.expect(page.locator("#job")).to_be_hidden()
+
+
+def test_a_command_that_ends_during_a_job_is_said_after_a_reload(page, page_dataset, tmp_path) -> None:
+    go_on = threading.Event()
+
+    def slow(scene: str, n: int) -> list[KeypointMark]:
+        assert go_on.wait(60)
+        return proposals(scene, n)
+
+    with served_of(recordings_of(page_dataset), tmp_path, page, slow) as server:
+        opened(page, server.url)
+        page.locator("#propose").click()
+        page.locator("#propose-go").click()
+        settled_text(page, "#job-title", "Proposing")
+        page.reload()
+        settled_text(page, "#job-title", "Proposing keypoints")
+        page.is_refused = True
+        page.route("**/api/*", lambda route: route.abort())
+        settled_text(page, "#status", "The command behind this page has ended")
+        playwright.expect(page.locator("#job")).to_be_hidden()
+        page.unroute("**/api/*")
+        go_on.set()

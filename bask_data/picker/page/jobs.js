@@ -53,8 +53,11 @@ function duration(seconds) {
 // Follow a job that was already running when the page was loaded.
 async function resume(job) {
   follow(job.name === "save" ? "Saving" : "Proposing keypoints");
-  while ((await call("progress")).job) await pause(POLL_MS);
-  unfollow();
+  try {
+    while ((await call("progress")).job) await pause(POLL_MS);
+  } finally {
+    unfollow();
+  }
   adopt(await call("start"));
 }
 
