@@ -98,6 +98,8 @@ def _may_be_strange(off, silent, limit):  # type: ignore[no-untyped-def]
     """Whether the mean of `off` over its non-zero pixels in any silent pixel's window (5 x 5, reflected at the border)
     exceeds a limit. Only windows around pixels that exceed it themselves are tested."""
     height, width = off.shape
+    if min(height, width) < 3:
+        return True  # The window is reflected more than once, which the indices below do not follow.
     looked = np.zeros((height, width), np.bool_)
     for v in range(height):
         for u in range(width):

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
+from bask_data.core.visibility.foreign import _may_be_strange
 from tests.scenes import Box, Scene
 from tests.two_boxes import (
     BACK,
@@ -60,6 +62,19 @@ def test_fingers_that_move_are_in_no_mask_with_depth_on_them_or_by_their_colour(
     if not with_depth:
         assert frame.n_pixels["hidden_by_colour"] > 100
         assert not frame.measured[covered].any()
+
+
+@pytest.mark.parametrize("shape", [(1, 9), (9, 1), (2, 9), (9, 2), (1, 1), (3, 9), (9, 3), (12, 15)])
+def test_the_quick_test_misses_no_pixel_of_an_image_of_any_size(shape: tuple[int, int]) -> None:
+    rng, limit = np.random.default_rng(0), np.float32(1.0)
+    for _ in range(50):
+        off = np.where(rng.random(shape) < 0.5, 2 * rng.random(shape), 0).astype(np.float32)
+        silent = rng.random(shape) < 0.5
+        n_around = cv2.boxFilter((off > 0).astype(np.float32), -1, (5, 5), normalize=False)
+        mean_off = cv2.boxFilter(off, -1, (5, 5), normalize=False) / np.maximum(n_around, 1)
+        # In Python, which refuses an index outside the image; compiled, it reads other memory.
+        quick = _may_be_strange.py_func(off, silent, np.float32(0.99) * limit)
+        assert quick or not (silent & (mean_off > limit)).any()
 
 
 def test_a_highlight_without_depth_on_an_object_stays_in_its_mask() -> None:
