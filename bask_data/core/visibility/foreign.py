@@ -58,7 +58,7 @@ def foreign(
     seen = rgb.reshape(-1, 3)[where].astype(np.float32)
     gain = np.median(seen, axis=0) / np.maximum(np.median(expected, axis=0), 1)
     usual = float(np.median(np.abs(seen - gain * expected).max(axis=1)))
-    off = _colour_off(rgb, colors, i_vertex, silent & region, gain.astype(np.float32))
+    off = _colour_off(rgb, colors, i_vertex, silent & region, gain.astype(np.float32), NO_VERTEX)
     limit = max(COLOUR_OFF * usual, LEAST_COLOUR_OFF)
     # Most frames need no filter over the whole image, and this test is faster than the filters.
     if not _may_be_strange(off, silent, np.float32(0.99 * limit)):
@@ -80,14 +80,16 @@ def foreign(
 
 
 @compiled
-def _colour_off(rgb, colors, i_vertex, asked, gain):  # type: ignore[no-untyped-def]
+def _colour_off(rgb, colors, i_vertex, asked, gain, no_vertex):  # type: ignore[no-untyped-def]
     """(h, w) float32: largest difference of a channel between image and mesh, grey levels; 0 where not asked for, or
-    where the ray meets nothing. NumPy takes six times as long to gather the colours."""
+    where the ray meets nothing. NumPy takes six times as long to gather the colours.
+
+    `no_vertex` is passed, as the machine code kept on disk for this file would not follow a change of another's."""
     off = np.zeros(asked.shape, np.float32)
     for v in range(asked.shape[0]):
         for u in range(asked.shape[1]):
             i = i_vertex[v, u]
-            if asked[v, u] and i != NO_VERTEX:
+            if asked[v, u] and i != no_vertex:
                 for channel in range(3):
                     off[v, u] = max(off[v, u], abs(rgb[v, u, channel] - gain[channel] * colors[i, channel]))
     return off

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bask_data.core.visibility.foreign import _may_be_strange
+from bask_data.core.visibility.foreign import _colour_off, _may_be_strange
 from tests.scenes import Box, Scene
 from tests.two_boxes import (
     BACK,
@@ -75,6 +75,14 @@ def test_the_quick_test_misses_no_pixel_of_an_image_of_any_size(shape: tuple[int
         # In Python, which refuses an index outside the image; compiled, it reads other memory.
         quick = _may_be_strange.py_func(off, silent, np.float32(0.99) * limit)
         assert quick or not (silent & (mean_off > limit)).any()
+
+
+def test_the_mark_of_no_vertex_is_not_compiled_in() -> None:
+    i_vertex, rgb = np.array([[0, 1, 2]], np.int32), np.zeros((1, 3, 3), np.uint8)
+    colors = np.full((3, 3), 9, np.uint8)
+    for no_vertex in range(3):
+        off = _colour_off(rgb, colors, i_vertex, np.ones((1, 3), bool), np.ones(3, np.float32), np.int32(no_vertex))
+        np.testing.assert_array_equal(off, 9 * (i_vertex != no_vertex))
 
 
 def test_a_highlight_without_depth_on_an_object_stays_in_its_mask() -> None:
