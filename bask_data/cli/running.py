@@ -47,15 +47,8 @@ class Course:
     def begin(self, at: Position) -> None:
         """Print what begins, unless it is known to be up to date: number of the stage, item, and time left."""
         kind = self._kinds[at.stage]
-        if not self._forecast.is_pending(kind, at.item):
-            return
-        variant = "" if at.variant == "main" else f" {at.variant}"
-        stages = f"stage {at.stage_number} of {at.n_stages}: " if at.n_stages > 1 else ""
-        if at.item:
-            items = f" {at.item} ({at.item_number} of {at.n_items})" if at.n_items > 1 else f" {at.item}"
-        else:
-            items = f" ({at.n_items} items)" if at.n_items > 1 else ""
-        say(f"  {stages}{at.stage}{variant}{items}{self._left()}")
+        if self._forecast.is_pending(kind, at.item):
+            say(f"  {at.label}{self._left()}")
 
     def _left(self) -> str:
         seconds, bound = self._forecast.left()

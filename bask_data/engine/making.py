@@ -41,6 +41,17 @@ class Position:
     item_number: int
     n_items: int
 
+    @property
+    def label(self) -> str:
+        """The position in words: `stage 3 of 7: masks table1 (1 of 4)`, without what there is only one of."""
+        stages = f"stage {self.stage_number} of {self.n_stages}: " if self.n_stages > 1 else ""
+        variant = "" if self.variant == "main" else f" {self.variant}"
+        if self.item:
+            items = f" {self.item}" + (f" ({self.item_number} of {self.n_items})" if self.n_items > 1 else "")
+        else:
+            items = f" ({self.n_items} items)" if self.n_items > 1 else ""
+        return f"{stages}{self.stage}{variant}{items}"
+
 
 @dataclass(frozen=True)
 class Outcome:

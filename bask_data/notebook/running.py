@@ -119,8 +119,8 @@ class _Shown:
 
     def begin(self, at: Position) -> None:
         """Say what begins, where there are several."""
-        if at.n_items > 1 and self._is_live:
-            self._over(f"{at.stage} {at.item} ({at.item_number} of {at.n_items})")
+        if max(at.n_items, at.n_stages) > 1 and self._is_live:
+            self._over(at.label)
 
     def __call__(self, label: str, done: int, total: int | None) -> None:
         now = time.monotonic()

@@ -139,3 +139,16 @@ def test_a_dry_run_predicts_that_artifacts_below_a_stale_one_may_be_remade(datas
     ]
     assert outcomes["pick a"].why == "if this changes: reconstruction/a"
     assert outcomes["learn"].why == "if this changes: objects/a"
+
+
+@pytest.mark.parametrize(
+    ("position", "label"),
+    [
+        (Position("masks", "main", 3, 7, "a", 1, 4), "stage 3 of 7: masks a (1 of 4)"),
+        (Position("encode", "big", 1, 1, "lift", 1, 1), "encode big lift"),
+        (Position("masks", "main", 1, 1, "", 1, 4), "masks (4 items)"),
+        (Position("train", "main", 5, 7, "", 1, 1), "stage 5 of 7: train"),
+    ],
+)
+def test_a_position_reads_as_stage_variant_and_item(position: Position, label: str) -> None:
+    assert position.label == label
