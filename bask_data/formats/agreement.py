@@ -6,6 +6,8 @@ with the other interpretations of the poses. The result is reported to the user;
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
@@ -24,6 +26,9 @@ measured."""
 AGREES_WITHIN = (0.005, 0.02)
 """Metres, and share of the depth: depths count as equal within 5 mm plus 2 %, the noise and calibration error of RGB-D
 cameras. Sensitivity not measured."""
+
+
+_BETTER = re.compile(r"; with (--.+) it would be \d+%")
 
 
 def agreement(camera: CameraRecording, otherwise: dict[str, Float[ndarray, "t 4 4"]]) -> str:
@@ -50,6 +55,17 @@ def agreement(camera: CameraRecording, otherwise: dict[str, Float[ndarray, "t 4 
     elif share < 0.3:
         text += "; that is little: look at the poses, the intrinsics and the depth scale"
     return text
+
+
+def is_doubtful(text: str) -> bool:
+    """Whether a summary by `agreement` says that poses, intrinsics or depth are probably wrong."""
+    return "; " in text
+
+
+def better_options(text: str) -> str:
+    """The options under which the depths agree better, from a summary by `agreement`; empty if there are none."""
+    better = _BETTER.search(text)
+    return better[1] if better else ""
 
 
 def _pairs(n_frames: int) -> list[tuple[int, int]]:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ from bask_data.dataset import Dataset
 from bask_data.kinds import Correspondences, Demonstration, Scan, VisibleMasks
 from bask_data.pipeline import STAGES
 from tests.datasets import add_scan, publish_artifact
+from tests.tiny import write_recording
 
 SHELF = str(Path(__file__).parents[2] / "datasets" / "apc_shelf")
 
@@ -159,6 +161,21 @@ def test_ingest_prints_every_assumption_and_refuses_to_overwrite(tmp_path: Path)
     again = cli("ingest", "apc", SHELF, tmp_path / "d", "--scene", "shelf", "--fps", "5")
     assert again.exit_code == 3
     assert "pass --force" in again.stderr
+
+
+def test_poses_of_another_convention_are_noted_and_the_corrected_command_is_next(tmp_path: Path) -> None:
+    files, root = tmp_path / "my files", tmp_path / "d"
+    options = write_recording(files)
+    ended = cli("ingest", "frames", files, root, "--scene", "a", "--as", "demonstration", *options, "--axes", "opengl")
+    assert ended.exit_code == 0
+    assert "  note: the poses may be wrong: " in ended.stderr and "assumed     agreement" not in ended.stderr
+    [following] = [line for line in ended.stderr.splitlines() if line.startswith("next: ")]
+    words = shlex.split(following.removeprefix("next: bask-data "))
+    assert words[:2] == ["ingest", "frames"] and words.count("--axes") == 1
+    corrected = cli(*words)
+    assert corrected.exit_code == 0 and "note:" not in corrected.stderr
+    assert f"next: bask-data run {root}" in corrected.stderr
+    assert "assumed     agreement: 9" in corrected.stderr
 
 
 def test_lists_on_the_command_line_are_split_at_commas(one_scan: Dataset) -> None:

@@ -5,7 +5,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from bask_data.core.geometry import invert_rigid, pixel_grid, unproject
-from bask_data.formats.agreement import agreement
+from bask_data.formats.agreement import agreement, better_options, is_doubtful
 from bask_data.formats.recording import CameraRecording
 
 K = np.array([[100.0, 0, 39.5], [0, 100.0, 29.5], [0, 0, 1]])
@@ -37,7 +37,8 @@ POSES = np.stack([turned(0.1 * i, (0.05 * i, 0.0, 0.02 * i)) for i in range(4)])
 
 
 def test_exact_poses_agree_with_the_depth_of_a_wall() -> None:
-    assert agreement(camera_before_a_wall(POSES), {}).startswith("100% of the depth of a frame")
+    text = agreement(camera_before_a_wall(POSES), {})
+    assert text.startswith("100% of the depth of a frame") and not is_doubtful(text) and not better_options(text)
 
 
 def test_a_better_interpretation_of_the_poses_is_named() -> None:
@@ -45,14 +46,18 @@ def test_a_better_interpretation_of_the_poses_is_named() -> None:
     wrong = CameraRecording("c", K, 60, 80, 1e-4, invert_rigid(POSES), camera.time, camera.read)
     text = agreement(wrong, {"--pose-is other": POSES, "--axes worse": invert_rigid(POSES) @ POSES})
     assert text.endswith("with --pose-is other it would be 100%: look at the options")
+    assert is_doubtful(text) and better_options(text) == "--pose-is other"
 
 
 def test_disagreement_without_a_better_interpretation_is_reported() -> None:
     camera = camera_before_a_wall(POSES)
     # A wrong scale alone would hardly show: these cameras mostly rotate, which does not depend on the scale.
     scaled = CameraRecording("c", K * [[2], [2], [1]], 60, 80, 5e-4, POSES, camera.time, camera.read)
-    assert agreement(scaled, {}).endswith("look at the poses, the intrinsics and the depth scale")
+    text = agreement(scaled, {})
+    assert text.endswith("look at the poses, the intrinsics and the depth scale")
+    assert is_doubtful(text) and not better_options(text)
 
 
 def test_a_single_frame_cannot_be_compared() -> None:
-    assert agreement(camera_before_a_wall(POSES[:1]), {}) == "a single frame: nothing to hold the poses against"
+    text = agreement(camera_before_a_wall(POSES[:1]), {})
+    assert text == "a single frame: nothing to hold the poses against" and not is_doubtful(text)
