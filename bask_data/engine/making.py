@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -81,8 +81,12 @@ class Outcome:
     position: Position | None = None
 
 
-def make(task: Task, force: bool = False) -> Outcome:
-    """Make one artifact unless it is up to date. Errors are returned in the outcome, so that other items continue."""
+def make(task: Task, force: bool = False, *, publishing: Callable[[], None] = lambda: None) -> Outcome:
+    """Make one artifact unless it is up to date. Errors are returned in the outcome, so that other items continue.
+
+    Args:
+        publishing: called when the artifact is complete, before it takes its place.
+    """
     begun = time.perf_counter()
     path = str(task.target)
     outcome = Outcome(task.label, task.stage.makes.kind, task.item, task.variant, path, "made")
@@ -92,7 +96,7 @@ def make(task: Task, force: bool = False) -> Outcome:
             return replace(outcome, status="blocked", why=state.why, blocked=state.blocked)
         if state.status == "up to date" and not force:
             return replace(outcome, status="up to date", why=state.why, digest=read_manifest(task.target).digest)
-        manifest = _make(task, begun, force)
+        manifest = _make(task, begun, force, publishing)
     except BaskError as error:
         return replace(
             outcome, status="failed", why=_with_notes(error), seconds=time.perf_counter() - begun, error=error
@@ -112,7 +116,7 @@ def _with_notes(error: BaskError) -> str:
     return "\n".join([str(error), *getattr(error, "__notes__", [])])
 
 
-def _make(task: Task, begun: float, force: bool) -> Manifest:
+def _make(task: Task, begun: float, force: bool, publishing: Callable[[], None]) -> Manifest:
     parameter_files(task)  # The recorded digest of an absent file is enough for a key, but not for making anything.
     parts = key_parts(task)
     makes, key = task.stage.makes, digest_of(parts)
@@ -122,6 +126,7 @@ def _make(task: Task, begun: float, force: bool) -> Manifest:
 
     def fill(scratch: Path) -> Manifest:
         task.stage.function(**arguments, out=scratch)
+        publishing()
         return published(task.root, task.target, scratch, artifact=makes, origin=origin, begun=begun)
 
     if task.stage.resumable:

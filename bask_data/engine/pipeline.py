@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from bask_data.dataset import Dataset, Variant
 from bask_data.engine.declare import Stage
-from bask_data.engine.making import Outcome, Position, predicted, run
+from bask_data.engine.making import Outcome, Position, make, predicted, run
 from bask_data.engine.params_file import own_parameters
 from bask_data.engine.requested import (
     REQUESTED,
@@ -216,12 +217,19 @@ def _made(
     begin: Begin,
 ) -> Iterator[Outcome]:
     recorded, failed = set[str](), set[str]()
+
+    def record(stage: Stage) -> None:
+        if stage.name not in recorded:
+            _record(dataset, batches, stage, request, own)
+            recorded.add(stage.name)
+
     for i_batch, batch in enumerate(batches):
         stage, is_listed = batch.stage, batch.variant == "main"
-        for i_task, outcome in enumerate(_outcomes(batches, i_batch, executor, force, begin)):
-            if outcome.status in ("made", "up to date") and stage.name not in recorded:
-                _record(dataset, batches, stage, request, own)
-                recorded.add(stage.name)
+        # Before the first artifact is published: after a kill between the two it would be stale for everyone.
+        outcomes = _outcomes(batches, i_batch, executor, force, begin, partial(record, stage))
+        for i_task, outcome in enumerate(outcomes):
+            if outcome.status in ("made", "up to date"):
+                record(stage)
             if outcome.status == "failed":
                 failed.add(stage.name)
             if outcome.status == "made" and not is_listed:
@@ -234,7 +242,7 @@ def _made(
                 _note_unrecorded(stage, request)
             else:
                 # What it reads is missing, or there is no item yet: the parameters are for when there is.
-                _record(dataset, batches, stage, request, own)
+                record(stage)
 
 
 def _note_unrecorded(stage: Stage, request: RunRequest) -> None:
@@ -257,9 +265,14 @@ def _variant(dataset: Dataset, batch: PlannedStage, request: RunRequest) -> Vari
 
 
 def _outcomes(
-    batches: Sequence[PlannedStage], i_batch: int, executor: Executor | None, force: bool, begin: Begin
+    batches: Sequence[PlannedStage],
+    i_batch: int,
+    executor: Executor | None,
+    force: bool,
+    begin: Begin,
+    publishing: Callable[[], None],
 ) -> Iterator[Outcome]:
-    """Outcomes of one batch; `begin` is called before the work starts."""
+    """Outcomes of one batch; `begin` is called before the work starts, `publishing` as by `make` if it is done here."""
     tasks = batches[i_batch].tasks
     if executor is not None:
         begin(_position(batches, i_batch, "", 0))
@@ -267,7 +280,7 @@ def _outcomes(
         return
     for i_task, task in enumerate(tasks):
         begin(_position(batches, i_batch, task.item, i_task))
-        yield from run([task], force=force)
+        yield make(task, force, publishing=publishing)
 
 
 def _position(batches: Sequence[PlannedStage], i_batch: int, item: str, i_task: int) -> Position:

@@ -244,6 +244,18 @@ def test_a_failure_leaves_a_note_that_the_parameters_are_not_recorded(
     assert not (dataset.root / REQUESTED).exists()
 
 
+def test_parameters_are_recorded_if_a_kill_follows_the_first_artifact(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bask_data.engine.publishing.record", killed)
+    with pytest.raises(KeyboardInterrupt):
+        made(dataset, options={"voxel_size": 0.2})
+    assert stale(dataset) == ["fuse b"]
+
+
 def test_files_named_for_a_later_variant_are_recorded_too(dataset: Dataset, tmp_path: Path) -> None:
     files = [tmp_path / "first", tmp_path / "second"]
     for file in files:
