@@ -83,12 +83,25 @@ class Params(BaseModel):
 def first_fault(error: ValidationError) -> tuple[str, str, str]:
     """The first error: its field, what was expected in plain words, and the value that was given."""
     fault = error.errors()[0]
+    if fault["type"] == "missing" and isinstance(fault["loc"][-1], int):
+        return _too_few(error)
     # For a missing value pydantic gives the whole model as input.
     came = "none" if fault["type"] == "missing" else _as_came(fault["input"])
-    field = ".".join(map(str, fault["loc"]))
-    if len(field) > _MOST_SHOWN:
-        field = f"{field[:_MOST_SHOWN]}..."  # Deeply nested JSON.
-    return field, _expected(fault["type"], fault["msg"], fault.get("ctx", {})), came
+    return _field(fault["loc"]), _expected(fault["type"], fault["msg"], fault.get("ctx", {})), came
+
+
+def _field(location: tuple[int | str, ...]) -> str:
+    field = ".".join(map(str, location))
+    return f"{field[:_MOST_SHOWN]}..." if len(field) > _MOST_SHOWN else field  # Deeply nested JSON.
+
+
+def _too_few(error: ValidationError) -> tuple[str, str, str]:
+    """`first_fault` of a list of fixed length that is too short: pydantic reports each missing value."""
+    first = error.errors()[0]
+    of_list = first["loc"][:-1]
+    n_missing = sum(fault["type"] == "missing" and fault["loc"][:-1] == of_list for fault in error.errors())
+    n_given = len(first["input"])
+    return _field(of_list), f"{n_given + n_missing} values", f"{n_given}: {_as_came(first['input'])}"
 
 
 def _expected(code: str, message: str, context: Mapping[str, Any]) -> str:
@@ -108,4 +121,6 @@ def _expected(code: str, message: str, context: Mapping[str, Any]) -> str:
 
 def _as_came(value: Any) -> str:
     """A value as given: text in quotes, so that empty or blank text is visible."""
+    if isinstance(value, list | tuple) and value and all(isinstance(each, str) for each in value):
+        value = ",".join(value)  # As an option gives it.
     return f"'{value[:_MOST_SHOWN]}'" if isinstance(value, str) else json.dumps(value, default=str)[:_MOST_SHOWN]
