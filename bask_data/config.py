@@ -22,7 +22,10 @@ def load_config(
         BadData: the file is not a YAML mapping of mappings.
         UsageError: no stage has a section or a field.
     """
-    config = sections_of(file) if file else {}
+    if file is not None and not file.exists():
+        raise UsageError("--config", "", expected="a YAML file", got=f"no such file '{file}'", fix="check the path.")
+    # The file's names are checked before `--set` adds others, so that each is blamed for its own.
+    config = checked_sections(sections_of(file), stages, str(file)) if file else {}
     for section, values in preset(preset_name, stages).items() if preset_name else ():
         config.setdefault(section, {}).update(values)
         # Values of the file for single variants or items would otherwise override the preset.
@@ -36,7 +39,7 @@ def load_config(
             fix = "for instance --set reconstruct.voxel_size=0.003"
             raise UsageError("--set", "", expected="stage.field=value", got=assignment, fix=fix)
         config.setdefault(section, {})[field] = _value(text)
-    return checked_sections(config, stages, str(file) if file else "--set")
+    return checked_sections(config, stages, "--set")
 
 
 def _value(text: str) -> Any:
@@ -45,7 +48,8 @@ def _value(text: str) -> Any:
     try:
         return yaml.safe_load(text)
     except yaml.YAMLError as error:
-        raise UsageError("--set", "", expected="a YAML value", got=text) from error
+        fix = "close its brackets and quotes, for instance --set objects.names=[mug,box]"
+        raise UsageError("--set", "", expected="a YAML value", got=f"'{text}'", fix=fix) from error
 
 
 @contextmanager

@@ -62,7 +62,9 @@ def test_files_that_are_not_a_configuration_are_refused(tmp_path: Path, text: st
 
 
 def test_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="expected a YAML file, got nothing"):
+    with pytest.raises(
+        UsageError, match=r"--config: expected a YAML file, got no such file '.*none.yaml'.  fix: check the path"
+    ):
         load_config(tmp_path / "none.yaml", [], STAGES)
 
 
@@ -75,6 +77,15 @@ def test_assignments_must_name_stage_and_field(text: str) -> None:
 def test_assignment_must_be_yaml() -> None:
     with pytest.raises(UsageError, match="expected a YAML value"):
         load_config(None, ["fuse.voxel_size=["], STAGES)
+
+
+def test_an_unknown_name_is_blamed_on_what_states_it(tmp_path: Path) -> None:
+    file = written(tmp_path, "fuse: {voxel_size: 1}")
+    with pytest.raises(UsageError, match=r"^--set: fuse.voxel: expected"):
+        load_config(file, ["fuse.voxel=1"], STAGES)
+    file = written(tmp_path, "fuse: {voxel: 1}")
+    with pytest.raises(UsageError, match=rf"^{file}: fuse.voxel: expected"):
+        load_config(file, ["fuse.voxel_size=1"], STAGES)
 
 
 def test_a_section_is_written_without_touching_the_rest(tmp_path: Path) -> None:
