@@ -209,6 +209,9 @@ def parse_intrinsics(source: Path, text: str) -> tuple[Float[ndarray, "3 3"], tu
         return _intrinsics_matrix(source, numbers(Path("--intrinsics"), text)), ()
     path = Path(text)
     if not path.is_file():
+        if len(words) > 1 and not (source / text).exists():
+            fix = "images do not contain them: take them from the camera's calibration."
+            raise UsageError("--intrinsics", expected="4 numbers fx,fy,cx,cy", got=str(len(words)), fix=fix)
         path = member(source, text, "--intrinsics")
     values = [value for line in read_lines(path) for value in numbers(path, line)]
     return _intrinsics_matrix(path, values), (path,)
@@ -224,7 +227,11 @@ def _intrinsics_matrix(where: Path, values: list[float]) -> Float[ndarray, "3 3"
         K = array.reshape(side, side)[:3, :3].astype(np.float64)
     else:
         raise BadData(
-            where, "intrinsics", expected="4 numbers fx fy cx cy, or a 3x3 or 4x4 matrix", got=f"{len(values)} numbers"
+            where,
+            "intrinsics",
+            expected="4 numbers fx fy cx cy, or a 3x3 or 4x4 matrix",
+            got=f"{len(values)} numbers",
+            fix="correct the file, or pass --intrinsics fx,fy,cx,cy.",
         )
     pinhole = np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0 and K[1, 0] == 0 and (K[2] == [0, 0, 1]).all()
     if not pinhole:
@@ -268,6 +275,7 @@ def parse_pose(where: Path | str, values: list[float]) -> Float[ndarray, "4 4"]:
             "pose",
             expected="a 4x4 or 3x4 matrix or tx ty tz qx qy qz qw",
             got=f"{len(values)} numbers",
+            fix="check the file, and the option that names it.",
         )
     if fault := rigid_fault(matrix):
         raise BadData(

@@ -124,7 +124,7 @@ def read_lines(path: Path) -> list[str]:
     except UnicodeDecodeError:
         text = "\0"
     if "\0" in text:
-        raise BadData(path, "content", expected="text", got="a binary file")
+        raise BadData(path, "content", expected="text", got="a binary file", fix="check the option that names it.")
     lines = (line.split("#", 1)[0].strip() for line in text.splitlines())
     return [line for line in lines if line]
 
@@ -134,4 +134,5 @@ def numbers(path: Path, line: str) -> list[float]:
     try:
         return [float(word) for word in line.replace(",", " ").split()]
     except ValueError:
-        raise BadData(path, "content", expected="numbers", got=repr(line[:80])) from None
+        fix = "separate numbers by spaces or commas, and begin remarks with #."
+        raise BadData(path, "content", expected="numbers", got=repr(line[:80]), fix=fix) from None

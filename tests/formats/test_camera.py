@@ -97,6 +97,13 @@ def test_intrinsics_of_another_count_are_refused(tmp_path: Path) -> None:
         camera.parse_intrinsics(tmp_path, "K.txt")
 
 
+def test_too_few_numbers_on_the_command_line_are_not_taken_for_a_file(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"--intrinsics: expected 4 numbers fx,fy,cx,cy, got 3\.  fix: "):
+        camera.parse_intrinsics(tmp_path, "150,150,79.5")
+    (tmp_path / "K,left.txt").write_text("600 601 320 240")
+    assert camera.parse_intrinsics(tmp_path, "K,left.txt")[0][0, 0] == 600
+
+
 @pytest.mark.parametrize("text", ["-600,601,320,240", "600,0,320,240", "nan,600,320,240"])
 def test_intrinsics_that_are_not_a_pinhole_matrix_are_refused(text: str) -> None:
     with pytest.raises(BadData, match="intrinsics: expected a pinhole matrix"):
