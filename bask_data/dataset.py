@@ -155,7 +155,8 @@ class Dataset:
         known = self.items(scope)
         unknown = [name for name in names if name not in set(known)]
         if unknown:
-            expected, fix = f"one of {choices(known) or 'no items yet'}", suggestion(unknown[0], known)
+            expected = f"one of {choices(known) or 'no items yet'}"
+            fix = suggestion(unknown[0], known) or f"`bask-data info {self.root}` lists them."
             raise UsageError(self.root, option, expected=expected, got=", ".join(unknown), fix=fix)
         if not known:
             fix = "bask-data ingest --help"

@@ -8,7 +8,7 @@ from typing import Any
 
 from bask_data.cli.options import given_options, names_of
 from bask_data.cli.working import quoted, request_of
-from bask_data.dataset import Dataset
+from bask_data.dataset import Dataset, check_name
 from bask_data.engine import RunRequest, Stage, Task, is_follower, planned
 from bask_data.errors import UsageError
 from bask_data.pipeline import STAGES
@@ -52,6 +52,9 @@ def call_of(stage: Stage, root: Path, options: dict[str, Any]) -> StageCall:
     if not is_follower():
         dataset.recover()
     prefix = "variant_of_"
+    for name in ("variant", *(name for name in options if name.startswith(prefix))):
+        if options.get(name):
+            check_name(options[name], stage.name, f"--{name.removeprefix(prefix)}")
     request = request_of(
         root,
         options["config"],

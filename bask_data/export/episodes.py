@@ -75,7 +75,9 @@ class Episodes:
             BadData: a demonstration has no keypoints, or columns that differ from the others'.
         """
         if not 0 <= settings.noise < float("inf"):
-            raise UsageError("export", "--noise", expected="0 metres or more", got=settings.noise)
+            raise UsageError(
+                "export", "--noise", expected="0 metres or more", got=settings.noise, fix="for instance --noise 0.02"
+            )
         self.dataset, self.settings = dataset, settings
         self._held: dict[str, int] = {}
         self.entries = [self._entry(name, split) for name, split in _divided(dataset, settings)]

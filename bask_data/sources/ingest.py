@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from bask_data.artifact import digest_of, file_digest
-from bask_data.dataset import DATASET, Dataset, Source, check_name
+from bask_data.dataset import Dataset, Source, check_name
 from bask_data.engine import Origin, Outcome, progress, scratches
 from bask_data.errors import BadData
 from bask_data.formats import Format
@@ -48,7 +48,7 @@ def ingest(
         BadData: the source is damaged, or contradicts the options.
     """
     makes = Scan if kind == "scan" else Demonstration
-    check_name(item, root / DATASET)
+    check_name(item, f"ingest {format.name}", "--scene")
     dataset = Dataset.open_if_any(root)
     refuse_other_scope(dataset, makes, item, "choose another --scene.")
     read = format.read(source, options)

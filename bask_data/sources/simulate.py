@@ -18,6 +18,7 @@ from bask_data.kinds import CameraFrames, Demonstration, Robot, Scan, Truth
 from bask_data.kinds.truth import TruthMetadata, TruthWriter
 from bask_data.sim.options import CAMERAS, TASKS, CameraName, SimOptions
 from bask_data.sources.recordings import is_current, published_recording, refuse_other_scope, undone_if_new, up_to_date
+from bask_data.spelling import suggestion
 
 if TYPE_CHECKING:
     import numpy as np
@@ -136,14 +137,21 @@ def _jobs(options: SimOptions, n_scans: int, n_demonstrations: int, only: Sequen
         jobs = [Job(Scan, i, options) for i in range(n_scans)]
         jobs += [Job(Demonstration, i, options) for i in range(n_demonstrations)]
         if not jobs:
-            raise UsageError("ingest sim", expected="--scans or --demonstrations", got="neither")
+            raise UsageError(
+                "ingest sim", expected="--scans or --demonstrations", got="neither", fix="for instance --scans 5"
+            )
         return jobs
     jobs = []
+    names = [f"{options.task}_scan0", f"{options.task}_demo0"]
     for name in dict.fromkeys(only):
         match = re.fullmatch(rf"{options.task}_(scan|demo)(\d{{1,6}})", name)
         if not match:
             raise UsageError(
-                "ingest sim", "--only", expected=f"names like {options.task}_scan0, {options.task}_demo12", got=name
+                "ingest sim",
+                "--only",
+                expected=f"names like {options.task}_scan0, {options.task}_demo12",
+                got=name,
+                fix=suggestion(name, names) or f"for instance --only {','.join(names)}",
             )
         jobs.append(Job(Scan if match[1] == "scan" else Demonstration, int(match[2]), options))
     return jobs
