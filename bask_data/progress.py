@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
@@ -17,6 +18,30 @@ NoteListener = Callable[[str], None]
 _listener: Listener | None = None
 _note_listener: NoteListener | None = None
 _thread = threading.local()
+
+
+_STEPS_MEASURED = 3
+"""Steps, after the first, that must be done before the time left is estimated. Chosen; sensitivity not measured."""
+
+
+class Pace:
+    """Estimate of the time that a loop still takes, from the steps after its first.
+
+    The first step is left out: it also loads files and compiles code, and may take longer than all others together.
+    """
+
+    def __init__(self) -> None:
+        self._label, self._n, self._begun = "", 0, 0.0
+
+    def seconds_left(self, label: str, done: int, total: int | None) -> float | None:
+        """Seconds left after a report of progress, all of which are to be passed; None while unknown."""
+        now = time.monotonic()
+        if label != self._label or done < self._n or not self._n:
+            self._label, self._n, self._begun = label, done, now
+        measured = done - self._n
+        if total is None or not self._n or measured < _STEPS_MEASURED:
+            return None
+        return (now - self._begun) / measured * (total - done)
 
 
 def listen(listener: Listener | None, note_listener: NoteListener | None = None) -> None:

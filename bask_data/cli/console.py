@@ -73,15 +73,15 @@ class _Lines:
     """Progress as a line every ten seconds, for logs."""
 
     def __init__(self) -> None:
-        self._label, self._begun, self._said = "", 0.0, 0.0
+        self._label, self._said, self._pace = "", 0.0, progress.Pace()
 
     def __call__(self, label: str, done: int, total: int | None) -> None:
-        now = time.monotonic()
+        now, left = time.monotonic(), self._pace.seconds_left(label, done, total)
         if label != self._label or done == 0:
-            self._label, self._begun, self._said = label, now, now
+            self._label, self._said = label, now
         if now - self._said >= _SECONDS_BETWEEN_LINES:
             self._said = now
-            say(f"  ...         {label} {done}{f'/{total}' if total else ''}{_left(now - self._begun, done, total)}")
+            say(f"  ...         {label} {done}{f'/{total}' if total else ''}{_in_words(left, ', ')}")
 
     def print(self, text: str) -> None:
         """Print a line between those of the loop."""
@@ -96,22 +96,25 @@ class _Bar:
 
     def __init__(self) -> None:
         self._progress: Any = None
+        self._pace = progress.Pace()
         self._task: Any = None
         self._label = ""
 
     def __call__(self, label: str, done: int, total: int | None) -> None:
+        left = _in_words(self._pace.seconds_left(label, done, total))
         if self._progress is None:
             from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-            columns = (TextColumn("  {task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+            labels = TextColumn("  {task.description}"), TextColumn("{task.fields[left]}")
+            columns = (labels[0], BarColumn(), MofNCompleteColumn(), labels[1])
             self._progress = Progress(*columns, console=Console(stderr=True), transient=True)
             self._progress.start()
         if label != self._label or done == 0:
             if self._task is not None:
                 self._progress.remove_task(self._task)
-            self._label, self._task = label, self._progress.add_task(label, total=total)
-        self._progress.update(self._task, completed=done, total=total)
+            self._label, self._task = label, self._progress.add_task(label, total=total, left="")
+        self._progress.update(self._task, completed=done, total=total, left=left)
         if done == total:
             self.close()
 
@@ -129,8 +132,8 @@ class _Bar:
         self._progress, self._task, self._label = None, None, ""
 
 
-def _left(elapsed: float, done: int, total: int | None) -> str:
-    return f", about {duration(elapsed / done * (total - done))} left" if done and total else ""
+def _in_words(seconds_left: float | None, before: str = "") -> str:
+    return "" if seconds_left is None else f"{before}about {duration(seconds_left)} left"
 
 
 def duration(seconds: float) -> str:

@@ -13,7 +13,7 @@ from bask_data.engine import Outcome, Position, RunRequest, Stage, Standing, run
 from bask_data.errors import BaskError, UsageError
 from bask_data.notebook.html import table_html
 from bask_data.pipeline import STAGES
-from bask_data.progress import listened_by
+from bask_data.progress import Pace, listened_by
 from bask_data.spelling import suggestion
 
 WHY_WIDTH = 100
@@ -115,7 +115,7 @@ class _Shown:
 
     def __init__(self) -> None:
         self._is_live = sys.stderr.isatty() or "ipykernel" in sys.modules
-        self._width, self._last, self._begun = 0, 0.0, 0.0
+        self._width, self._last, self._pace = 0, 0.0, Pace()
 
     def begin(self, at: Position) -> None:
         """Say what begins, where there are several."""
@@ -123,12 +123,10 @@ class _Shown:
             self._over(at.label)
 
     def __call__(self, label: str, done: int, total: int | None) -> None:
-        now = time.monotonic()
-        if done == 0:
-            self._begun = now
+        now, seconds = time.monotonic(), self._pace.seconds_left(label, done, total)
         if self._is_live and now - self._last >= SECONDS_BETWEEN:
             self._last = now
-            left = f", {(now - self._begun) / done * (total - done):.0f} s left" if total and done else ""
+            left = "" if seconds is None else f", {seconds:.0f} s left"
             self._over(f"{label} {done}{f'/{total}' if total else ''}{left}")
 
     def line(self, text: str) -> None:

@@ -24,3 +24,15 @@ def test_notes_during_a_loop_are_shown_at_once(
             assert f"  ...         step {i}: [loss] 0.5\n" in capsys.readouterr().err
     note("nobody listens")
     assert "nobody" not in capsys.readouterr().err
+
+
+def test_a_log_shows_the_time_left_without_the_slow_first_step(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 0.0
+    monkeypatch.setattr("time.monotonic", lambda: now)
+    with shown_progress():
+        for i in progress(range(40), "training"):
+            now += 15 if i == 0 else 1
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[:2] == ["  ...         training 1/40", "  ...         training 11/40, about 29.0 s left"]
