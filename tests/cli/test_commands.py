@@ -77,7 +77,7 @@ def test_json_is_the_only_output_on_stdout(tmp_path: Path) -> None:
         (["encode", "{root}"], 2, "expected a demonstration, got none"),
         (["view", "{root}", "--only", "nix"], 2, "fix: `bask-data info "),
         (["split", "{root}", "--train", "nix"], 2, "fix: `bask-data info "),
-        (["export", "parquet", "{root}", "{root}/out", "--noise", "-1"], 2, "fix: for instance --noise"),
+        (["export", "parquet", "{root}", "{root}-out", "--noise", "-1"], 2, "fix: for instance --noise"),
         (["ingest", "sim", "{root}", "--task", "lid", "--only", "lid_scn0"], 2, "fix: did you mean lid_scan0?"),
         (["ingest", "sim", "{root}", "--task", "lid", "--only", "q"], 2, "fix: for instance --only lid_scan0"),
         (["reconstruct", "{root}", "--workspace", "1,2,3"], 2, "workspace: expected 6 values, got 3: '1,2,3'."),
