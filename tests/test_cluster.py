@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from bask_data.cli.working import executor_of
 from bask_data.dataset import Dataset
 from bask_data.engine import plan, run
 from tests.cli.test_commands import cli
@@ -22,6 +23,8 @@ def test_a_dask_cluster_makes_the_items(tmp_path: Path) -> None:
     ):
         outcomes = list(run(plan(dataset, fuse), executor=client.get_executor()))
         assert {(outcome.item, outcome.status) for outcome in outcomes} == {(name, "made") for name in "abc"}
+        with executor_of(1, cluster.scheduler_address) as (_, n_workers):
+            assert n_workers == 2, "the time left is that of all workers"
         ended = cli("reconstruct", dataset.root, "--cluster", cluster.scheduler_address, "--only", "a")
         # The toy recording has no surface; what counts is that the worker's error arrives whole.
         assert ended.exit_code == 4, ended.stderr

@@ -26,8 +26,8 @@ STATUSES = ("up to date", "would make", "may make", "stale", "missing", "blocked
 def made(dataset: Dataset, request: RunRequest, *, jobs: int, cluster: str, force: bool) -> list[Outcome]:
     """Make what is requested, and show the progress."""
     predicted = list(run_pipeline(dataset, STAGES, request, force=force, dry_run=True))
-    course = Course(Forecast(dataset.root, predicted, jobs), is_pipeline=not request.stages)
-    with shown_progress(), executor_of(jobs, cluster) as executor:
+    with shown_progress(), executor_of(jobs, cluster) as (executor, n_workers):
+        course = Course(Forecast(dataset.root, predicted, n_workers), is_pipeline=not request.stages)
         outcomes = run_pipeline(dataset, STAGES, request, executor=executor, force=force, begin=course.begin)
         return list(course.shown(outcomes))
 

@@ -20,11 +20,14 @@ from bask_data.presets import PresetName
 
 
 @contextmanager
-def executor_of(jobs: int, cluster: str) -> Iterator[Executor | None]:
-    """Where items are processed: None for this process, a pool of processes, or a Dask cluster."""
+def executor_of(jobs: int, cluster: str) -> Iterator[tuple[Executor | None, int]]:
+    """Where items are processed, and how many at once: None for this process, a pool of processes, or a Dask cluster.
+
+    A cluster may change while it is used; its number is that of the threads of its present workers.
+    """
     if cluster:
         with imported("distributed", "Dask", user="--cluster", extra="cluster").Client(cluster) as client:
-            yield client.get_executor()
+            yield client.get_executor(), max(sum(client.nthreads().values()), 1)
     elif jobs > 1:
         from concurrent.futures import ProcessPoolExecutor
         from multiprocessing import get_context
@@ -32,12 +35,12 @@ def executor_of(jobs: int, cluster: str) -> Iterator[Executor | None]:
         # Open3D and torch keep threads: a forked child would inherit their locks.
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
             try:
-                yield pool
+                yield pool, jobs
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
     else:
-        yield None
+        yield None, 1
 
 
 def quoted(path: Path) -> str:
