@@ -60,7 +60,11 @@ def matches_of(dataset: Dataset, scene: str) -> MatchScore:
     correspondences = Correspondences(dataset.path(Correspondences, scene))
     if not truth.has_depth:
         raise BadData(
-            truth.path, "depth", expected="exact depth and cameras", got="labels only", fix="bask-data ingest sim ROOT"
+            truth.path,
+            "depth",
+            expected="exact depth and cameras",
+            got="labels only",
+            fix="bask-data ingest sim OTHER_ROOT",
         )
     matches, n_done = correspondences.matches(), 0
     column = {name: matches[name].to_numpy() for name in matches.column_names}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -81,7 +82,14 @@ def evaluated_descriptor(
         aside = aside.joined_with_learned()
         measured = _measured(dataset, networks, aside, settings)
     if not measured.n_pairs:
-        raise UsageError(dataset.root, expected="frames that see the same objects", got=f"none in {aside.words}")
+        fix = "choose other scenes with --scenes."
+        if not settings.scenes:
+            root = shlex.quote(str(dataset.root))
+            fix = (
+                f"hold out a scene with `bask-data split {root} --validation SCENE` and train again, or pass --scenes."
+            )
+        expected, got = "frames that see the same objects", f"none in {aside.words}"
+        raise UsageError(dataset.root, expected=expected, got=got, fix=fix)
     figures = {
         name: _variant_figures(scored) | _sweep_figures(measured.turned[name])
         for name, scored in measured.scores.items()

@@ -422,8 +422,11 @@ def test_a_dataset_without_a_scene_to_measure_on_is_an_error(tmp_path: Path) -> 
 def test_frames_that_share_nothing_are_an_error(tmp_path: Path) -> None:
     dataset = described_dataset(tmp_path / "d", {"a": boxes(0)})
     publish_network(dataset, held_out=1 / N_FRAMES)
-    with pytest.raises(UsageError, match="expected frames that see the same objects, got none in held-out frames"):
+    with pytest.raises(
+        UsageError, match="expected frames that see the same objects, got none in held-out frames"
+    ) as caught:
         evaluated_descriptor(dataset)
+    assert f"`bask-data split {dataset.root} --validation SCENE`" in caught.value.fix
 
 
 def test_where_no_two_held_out_frames_are_joined_pairs_of_one_may_be_measured_and_are_named(tmp_path: Path) -> None:

@@ -332,8 +332,11 @@ def test_what_does_not_exist_is_reported_with_the_choices(studied: Dataset, aske
 
 def test_without_ground_truth_or_a_scan_to_pick_in_there_is_no_study(tmp_path: Path) -> None:
     dataset = described_dataset(tmp_path / "d", {"scan": boxes(0)})
-    with pytest.raises(UsageError, match="expected a demonstration with ground-truth poses of its objects, got none"):
+    with pytest.raises(
+        UsageError, match="expected a demonstration with ground-truth poses of its objects, got none"
+    ) as caught:
         evaluated_keypoints(dataset)
+    assert "ingest sim OTHER_ROOT" in caught.value.fix and str(dataset.root) not in caught.value.fix
     publish_demonstration(dataset, "demo")
     dataset.set_splits(Splits(test=("scan",)))
     with pytest.raises(

@@ -186,7 +186,9 @@ def test_labels_alone_are_no_ground_truth_for_matches(ball: Dataset) -> None:
             out, {}, {"wrist": (2, (HEIGHT, WIDTH), lambda _: np.zeros((HEIGHT, WIDTH), np.uint8))}
         ),
     )
-    with pytest.raises(BadData, match="depth: expected exact depth and cameras, got labels only"):
+    with pytest.raises(
+        BadData, match="depth: expected exact depth and cameras, got labels only.  fix: bask-data ingest sim OTHER_ROOT"
+    ):
         evaluated_correspondences(ball)
 
 
