@@ -22,7 +22,7 @@ from bask_data.cli.options import (
     names_of,
 )
 from bask_data.cli.running import AFTER_DRY_RUN, made, print_forecast, result_lines, standing_lines
-from bask_data.cli.working import finish, quoted, request_of
+from bask_data.cli.working import finish, quoted, request_of, with_options
 from bask_data.dataset import Dataset
 from bask_data.engine import run_pipeline
 from bask_data.engine import status as standings
@@ -79,11 +79,13 @@ def run_all(
     epilog="""
     bask-data status data/demo
     bask-data status data/demo --all
+    bask-data status data/demo --only table
     bask-data status data/demo --json
     """
 )
 def status(
     root: Root,
+    only: Only = "",
     all_: All = False,
     config: ConfigFile = None,
     preset: Preset = None,
@@ -95,11 +97,19 @@ def status(
 
     Artifacts are compared with the parameters requested when they were made, which the dataset records.
     """
-    request = request_of(root, config, set_, preset=preset, defaults=defaults)
-    found = list(standings(Dataset(root), STAGES, request))
+    request = request_of(root, config, set_, preset=preset, defaults=defaults, only=tuple(names_of(only)))
+    dataset = Dataset(root)
+    found = list(standings(dataset, STAGES, request))
     rows = [
         {"stage": each.stage, "label": each.label, "status": each.state.status, "why": each.state.why} for each in found
     ]
     print_result("status", standing_lines(found, all_), {"artifacts": rows}, json_)
     is_done = all(each.state.status == "up to date" for each in found)
-    say("everything is up to date." if is_done else f"next: bask-data run {quoted(root)}")
+    if not dataset.items("recording"):
+        say(f"next: bask-data ingest frames SOURCE {quoted(root)} --scene NAME ...")
+    elif is_done:
+        say("everything is up to date.")
+    else:
+        # The same options: without them `run` would make artifacts with other parameters.
+        options = {"--only": only, "--config": config, "--preset": preset, "--set": set_, "--defaults": defaults}
+        say(f"next: {with_options(f'bask-data run {quoted(root)}', options)}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
@@ -46,6 +46,21 @@ def executor_of(jobs: int, cluster: str) -> Iterator[tuple[Executor | None, int]
 def quoted(path: Path) -> str:
     """A path quoted for a shell."""
     return shlex.quote(str(path))
+
+
+def with_options(command: str, options: Mapping[str, Any]) -> str:
+    """A command with those of its options that are set, quoted for a shell.
+
+    Args:
+        options: values by flag; true for a flag alone, a list for a flag that is repeated.
+    """
+    words = [command]
+    for flag, value in options.items():
+        if value is True:
+            words.append(flag)
+        elif value:
+            words += [f"{flag} {shlex.quote(str(each))}" for each in (value if isinstance(value, list) else [value])]
+    return " ".join(words)
 
 
 def request_of(

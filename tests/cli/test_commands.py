@@ -251,3 +251,26 @@ def test_dataset_without_scenes_says_what_to_ingest(tmp_path: Path) -> None:
     ended = cli("run", dataset.root)
     assert ended.exit_code == 2
     assert "fix: bask-data ingest FORMAT SOURCE ROOT --scene NAME --as scan" in ended.stderr
+
+
+def test_status_ends_with_the_command_that_makes_what_it_showed(one_scan: Dataset, tmp_path: Path) -> None:
+    file = tmp_path / "my params.yaml"
+    file.write_text("train: {steps: 5}")
+    options = ["--only", "a", "--config", str(file), "--preset", "bask", "--set", "masks.tolerance=0.01", "--defaults"]
+    ended = cli("status", one_scan.root, *options)
+    assert ended.exit_code == 0, ended.stderr
+    assert shlex.split(ended.stderr.splitlines()[-1])[1:] == ["bask-data", "run", str(one_scan.root), *options]
+    assert cli("status", one_scan.root).stderr.splitlines()[-1] == f"next: bask-data run {one_scan.root}"
+
+
+def test_status_of_one_scene_leaves_out_the_others(one_scan: Dataset) -> None:
+    add_scan(one_scan, "b")
+    rows = json.loads(cli("status", one_scan.root, "--only", "b", "--json").stdout)["artifacts"]
+    labels = [row["label"] for row in rows]
+    assert "reconstruct b" in labels
+    assert "reconstruct a" not in labels
+
+
+def test_status_of_an_empty_dataset_points_to_ingest(tmp_path: Path) -> None:
+    Dataset.create(tmp_path / "d")
+    assert "next: bask-data ingest" in cli("status", tmp_path / "d").stderr.splitlines()[-1]
