@@ -9,6 +9,11 @@ MOST_CHOICES = 20
 """Names listed in a message: all stages, options and splits, but not thousands of scenes."""
 
 
+def number_of(n: int, noun: str) -> str:
+    """A number with its noun, which takes an s unless there is one: `1 camera`, `2 cameras`."""
+    return f"{n} {noun}{'' if n == 1 else 's'}"
+
+
 def suggestion(name: str, choices: Iterable[str]) -> str:
     """`did you mean X?` for the most similar existing name; empty if none is similar.
 

@@ -135,7 +135,7 @@ app(sys.argv[1:])
 @pytest.mark.kill
 def test_killed_encode_resumes_and_gives_the_same_result(tmp_path: Path) -> None:
     whole, cut = (dataset_of(tmp_path / name, {"wrist": poses()}) for name in ("whole", "cut"))
-    assert f"{N_FRAMES} frames of 1 cameras" in encoded(whole.root)
+    assert f"{N_FRAMES} frames of 1 camera in " in encoded(whole.root)
     begun = encoding(cut.root, pause=600)
     try:
         state = wait_for(lambda: [*cut.root.glob(".scratch/resume~keypoints~*/state.safetensors")], begun)
@@ -144,7 +144,7 @@ def test_killed_encode_resumes_and_gives_the_same_result(tmp_path: Path) -> None
         begun.communicate()
     assert begun.returncode == -signal.SIGKILL and state.exists()
     assert validate(cut) == [] and not cut.path(KeypointTrack, "reach").exists()
-    assert f"{N_FRAMES - 4} frames of 1 cameras" in encoded(cut.root)
+    assert f"{N_FRAMES - 4} frames of 1 camera in " in encoded(cut.root)
     manifests = [read_manifest(one.path(KeypointTrack, "reach")) for one in (whole, cut)]
     assert (manifests[0].digest, manifests[0].files) == (manifests[1].digest, manifests[1].files)
     assert not [entry for entry in (cut.root / ".scratch").iterdir() if entry.is_dir()]

@@ -14,6 +14,7 @@ from bask_data.cli.options import Json, Root, names_of
 from bask_data.cli.working import quoted
 from bask_data.dataset import DATASET, Dataset, DatasetFile, Splits
 from bask_data.errors import BadData
+from bask_data.spelling import number_of
 
 if TYPE_CHECKING:
     from bask_data.contents import Holding
@@ -64,7 +65,7 @@ def info(root: Root, json_: Json = False) -> None:
 
 def _info_lines(file: DatasetFile, holdings: list[Holding]) -> Iterator[str]:
     yield (
-        f"{file.name}: {len(file.scenes)} scenes, {len(file.demonstrations)} demonstrations, "
+        f"{file.name}: {number_of(len(file.scenes), 'scene')}, {number_of(len(file.demonstrations), 'demonstration')}, "
         f"licence {file.licence or 'not stated'}"
     )
     for holding in holdings:

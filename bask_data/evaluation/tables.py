@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from bask_data.spelling import number_of
+
 COLUMNS: dict[str, tuple[str, float, str]] = {
     "n": ("n", 1, "d"),
     "median_px": ("px", 1, ".1f"),
@@ -110,7 +112,9 @@ def keypoint_tables(result: dict[str, Any]) -> Iterator[str]:
     for name, group in result["groups"].items():
         demonstrations = group["demonstrations"]
         n_frames = sum(demonstration["n_frames"] for demonstration in demonstrations.values())
-        yield f"{name}: {len(group['keypoints'])} keypoints in {len(demonstrations)} demonstrations, {n_frames} frames"
+        n_keypoints, n_demonstrations = len(group["keypoints"]), len(demonstrations)
+        where = f"{number_of(n_demonstrations, 'demonstration')}, {number_of(n_frames, 'frame')}"
+        yield f"{name}: {number_of(n_keypoints, 'keypoint')} in {where}"
         methods = group["methods"]
         phases = list(next(iter(methods.values()))["error"])
         heads = "".join(f"{phase:>13}" for phase in phases) + f"{'mode':>8}{'apart':>8}"

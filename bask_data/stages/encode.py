@@ -20,6 +20,7 @@ from bask_data.engine import Params, progress, stage
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Camera, Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Truth
 from bask_data.progress import note
+from bask_data.spelling import number_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -257,7 +258,8 @@ def _track(
                 pass
     (out / STATE).unlink(missing_ok=True)
     n_done, seconds = n_frames - begin, time.monotonic() - begun
-    note(f"{n_done} frames of {len(cameras)} cameras in {seconds:.1f} s, {n_done / max(seconds, 1e-9):.1f} a second")
+    seen = f"{number_of(n_done, 'frame')} of {number_of(len(cameras), 'camera')}"
+    note(f"{seen} in {seconds:.1f} s, {n_done / max(seconds, 1e-9):.1f} a second")
 
 
 def _resumed(tracker: KeypointTracker, out: Path) -> int:

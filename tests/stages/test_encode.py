@@ -375,7 +375,7 @@ def test_it_tells_how_many_frames_a_second_it_did(tmp_path: Path) -> None:
     finally:
         progress.listen(None)
     assert ("tracking keypoints", N_FRAMES, N_FRAMES) in told
-    assert len(heard) == 1 and heard[0].startswith("12 frames of 1 cameras in ") and heard[0].endswith(" a second")
+    assert len(heard) == 1 and heard[0].startswith("12 frames of 1 camera in ") and heard[0].endswith(" a second")
 
 
 # Truth ----------------------------------------------------------------------------------------------------------------
