@@ -7,6 +7,7 @@ from typing import Any
 
 from bask_data.artifact import Artifact
 from bask_data.dataset import Dataset
+from bask_data.errors import BadData
 from bask_data.kinds import Recording
 from bask_data.validate import artifacts_on_disk, total_bytes
 
@@ -19,6 +20,7 @@ class Holding:
         artifact: path relative to the dataset.
         made_by: stage and version.
         cameras: cameras of a recording, as `frames x WIDTHxHEIGHT` by name.
+        fault: why the artifact cannot be read; then all other fields but its path are empty.
     """
 
     artifact: str
@@ -27,17 +29,26 @@ class Holding:
     digest: str
     metadata: dict[str, Any]
     cameras: dict[str, str]
+    fault: str = ""
 
 
 def contents(dataset: Dataset) -> list[Holding]:
-    """Every artifact that is listed in the dataset and exists, in the order of the kinds."""
-    return [_holding(artifact, dataset) for artifact in artifacts_on_disk(dataset)]
+    """Every artifact that is listed in the dataset and exists, in order of kinds; damaged ones with the fault."""
+    return [_holding_or_fault(artifact, dataset) for artifact in artifacts_on_disk(dataset)]
 
 
-def _holding(artifact: Artifact, dataset: Dataset) -> Holding:
+def _holding_or_fault(artifact: Artifact, dataset: Dataset) -> Holding:
+    place = artifact.path.relative_to(dataset.root).as_posix()
+    try:
+        return _holding(artifact, place)
+    except BadData as error:
+        return Holding(place, made_by="", bytes=0, digest="", metadata={}, cameras={}, fault=str(error))
+
+
+def _holding(artifact: Artifact, place: str) -> Holding:
     manifest = artifact.manifest
     return Holding(
-        artifact=artifact.path.relative_to(dataset.root).as_posix(),
+        artifact=place,
         made_by=f"{manifest.stage} v{manifest.stage_version}",
         bytes=total_bytes(manifest.files),
         digest=manifest.digest,

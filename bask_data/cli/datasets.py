@@ -53,7 +53,7 @@ def init(
 def info(root: Root, json_: Json = False) -> None:
     """List the contents of a dataset.
 
-    Recordings, splits, and each artifact with its size and content digest.
+    Recordings, splits, and each artifact with its size and content digest. Exits with code 4 if one is damaged.
     """
     from bask_data.contents import contents
 
@@ -61,6 +61,11 @@ def info(root: Root, json_: Json = False) -> None:
     holdings = contents(dataset)
     document = {"dataset": dataset.file.model_dump(mode="json"), "artifacts": [vars(holding) for holding in holdings]}
     print_result("info", _info_lines(dataset.file, holdings), document, json_)
+    faults = [holding.fault for holding in holdings if holding.fault]
+    for fault in faults:
+        say(f"error: {fault}")
+    if faults:
+        raise typer.Exit(BadData.exit_code)
 
 
 def _info_lines(file: DatasetFile, holdings: list[Holding]) -> Iterator[str]:
@@ -69,6 +74,9 @@ def _info_lines(file: DatasetFile, holdings: list[Holding]) -> Iterator[str]:
         f"licence {file.licence or 'not stated'}"
     )
     for holding in holdings:
+        if holding.fault:
+            yield f"  {holding.artifact:<40} damaged"
+            continue
         cameras = ", ".join(f"{name} {size}" for name, size in holding.cameras.items())
         yield f"  {holding.artifact:<40} {holding.bytes / 1e6:9.1f} MB  {holding.digest[:12]}  {cameras}".rstrip()
     yield from _split_lines(file.splits)

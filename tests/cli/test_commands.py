@@ -274,3 +274,15 @@ def test_status_of_one_scene_leaves_out_the_others(one_scan: Dataset) -> None:
 def test_status_of_an_empty_dataset_points_to_ingest(tmp_path: Path) -> None:
     Dataset.create(tmp_path / "d")
     assert "next: bask-data ingest" in cli("status", tmp_path / "d").stderr.splitlines()[-1]
+
+
+def test_info_lists_the_rest_of_a_dataset_with_a_damaged_artifact(one_scan: Dataset) -> None:
+    add_scan(one_scan, "b")
+    manifest = one_scan.path(Scan, "a") / "artifact.json"
+    manifest.write_bytes(manifest.read_bytes()[:40])
+    ended = cli("info", one_scan.root)
+    assert ended.exit_code == 4
+    assert "scan/a" in ended.stdout and "damaged" in ended.stdout and "scan/b" in ended.stdout
+    assert f"error: {manifest}: expected a JSON document" in ended.stderr
+    artifacts = json.loads(cli("info", one_scan.root, "--json").stdout)["artifacts"]
+    assert [bool(artifact["fault"]) for artifact in artifacts] == [True, False]
