@@ -107,7 +107,8 @@ class BaskGroup(TyperGroup):
             try:
                 return super().invoke(ctx)
             finally:
-                sys.stdout.flush()  # Here, because a closed pipe is handled here.
+                if sys.stdout is not None:  # It is None if it was closed from the start: `>&-`.
+                    sys.stdout.flush()  # Here, because a closed pipe is handled here.
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run the command line and exit with the documented code."""

@@ -44,6 +44,14 @@ def reported() -> Iterator[None]:
         )
         show_error(missing)
         raise typer.Exit(missing.exit_code) from None
+    except OSError as error:
+        if os.environ.get("BASK_DEBUG"):
+            raise
+        got = (error.strerror or type(error).__name__).lower()
+        fix = "check the path, its permissions and the free space; BASK_DEBUG=1 shows the traceback."
+        where = error.filename if isinstance(error.filename, str) else "file or output"
+        show_error(BaskError(where, "", expected="a file or device to read or write", got=got, fix=fix))
+        raise typer.Exit(1) from None
     except Exception as error:
         if os.environ.get("BASK_DEBUG"):
             raise

@@ -75,3 +75,16 @@ def test_usage_errors_of_the_program_itself_exit_with_2() -> None:
     assert (ended.returncode, ended.stdout) == (2, "")
     message = "error: bask-data: expected an option of this command, got --nope."
     assert ended.stderr == f"{message}  fix: see `bask-data --help`.\n"
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="a folder in which nothing can be created")
+def test_errors_of_the_system_have_our_form() -> None:
+    ended = CliRunner().invoke(app, ["init", "/proc/x"], prog_name="bask-data")
+    assert ended.exit_code == 1
+    assert ended.stderr.startswith("error: /proc/x: expected a file or device to read or write, got no such file")
+    assert FORM.fullmatch(ended.stderr.strip()), ended.stderr
+
+
+def test_closed_stdout_is_no_error(tmp_path: Path) -> None:
+    line = f"{sys.executable} -m bask_data.cli init {tmp_path / 'd'} >&-"
+    assert subprocess.run(["sh", "-c", line], check=False).returncode == 0
