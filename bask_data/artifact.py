@@ -235,18 +235,10 @@ def read_json(file: Path, fix: str = RESTORE) -> Any:
 def _json_fault(error: Exception) -> str:
     """What is wrong with a JSON file, in plain words: Python's messages are about its parser."""
     if isinstance(error, json.JSONDecodeError):
-        if not error.doc.strip():
-            return "an empty file"
-        return f"a syntax error in line {error.lineno}, column {error.colno}"
-    if isinstance(error, UnicodeDecodeError):
-        return "bytes that are not UTF-8 text"
-    if isinstance(error, RecursionError):
-        return "values nested too deeply"
-    if isinstance(error, IsADirectoryError):
-        return "a directory"
-    if isinstance(error, OSError):
-        return f"a file that cannot be read ({(error.strerror or 'unknown error').lower()})"
-    return "a number with too many digits"
+        return f"a syntax error in line {error.lineno}, column {error.colno}" if error.doc.strip() else "an empty file"
+    words = {UnicodeDecodeError: "bytes that are not UTF-8 text", RecursionError: "values nested too deeply"}
+    other = f"a file that cannot be read ({error.strerror})" if isinstance(error, OSError) else "too many digits"
+    return "a directory" if isinstance(error, IsADirectoryError) else words.get(type(error), other)
 
 
 def write_json_atomically(file: Path, value: object) -> None:

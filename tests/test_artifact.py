@@ -117,7 +117,7 @@ def test_failed_replacement_leaves_no_temporary_file(tmp_path: Path) -> None:
         (b" ", "got an empty file"),
         (b"\xff\xfe", "got bytes that are not UTF-8 text"),
         (b"[" * 100_000, "got values nested too deeply"),
-        (b"1" * 10_000, "got a number with too many digits"),
+        (b"1" * 10_000, "got too many digits"),
     ],
 )
 def test_invalid_json_is_reported_with_its_path(tmp_path: Path, content: bytes, message: str) -> None:
