@@ -319,23 +319,23 @@ class KeypointTracker:
 def _existing(kind: type[Kind], path: Path | str) -> Kind:
     """The artifact at a path; `BadData` names those that exist if there is none of this kind."""
     artifact = kind(path)
-    path = artifact.path
+    place = Path(path)
     # The folders above an artifact are Zarr groups too, and a network may come without a manifest and a group.
-    recorded = artifact.attributes.get("kind", "") if (path / "zarr.json").exists() else ""
-    if recorded == kind.kind or (kind is DescriptorNet and not recorded and (path / "model.json").exists()):
+    recorded = artifact.attributes.get("kind", "") if (place / "zarr.json").exists() else ""
+    if recorded == kind.kind or (kind is DescriptorNet and not recorded and (place / "model.json").exists()):
         return artifact
     if recorded:
         got = f"one of kind {recorded!r}"
     else:
-        got = "a folder without one" if path.is_dir() else "a file" if path.exists() else "no such folder"
-    for above in (path, *list(path.parents)[:2]):
+        got = "a folder without one" if place.is_dir() else "a file" if place.exists() else "no such folder"
+    for above in (place, *list(place.parents)[:2]):
         folder = above if above.name == kind.kind else above / kind.kind
         if there := sorted(manifest.parent for manifest in folder.glob(f"*/{MANIFEST}")):
             fix = f"pass one of {', '.join(map(str, there))}."
             break
     else:
         fix = f"pass ROOT/{kind.kind}/VARIANT; `bask-data info ROOT` lists what a dataset has."
-    raise BadData(path, "", expected=f"an artifact of kind {kind.kind!r}", got=got, fix=fix)
+    raise BadData(place, "", expected=f"an artifact of kind {kind.kind!r}", got=got, fix=fix)
 
 
 def _check_dicts(**arguments: object) -> None:
