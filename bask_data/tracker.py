@@ -319,7 +319,7 @@ class KeypointTracker:
 def _existing(kind: type[Kind], path: Path | str) -> Kind:
     """The artifact at a path; `BadData` names those that exist if there is none of this kind."""
     artifact = kind(path)
-    place = Path(path)
+    place: Path = Path(path)
     # The folders above an artifact are Zarr groups too, and a network may come without a manifest and a group.
     recorded = artifact.attributes.get("kind", "") if (place / "zarr.json").exists() else ""
     if recorded == kind.kind or (kind is DescriptorNet and not recorded and (place / "model.json").exists()):
@@ -328,7 +328,8 @@ def _existing(kind: type[Kind], path: Path | str) -> Kind:
         got = f"one of kind {recorded!r}"
     else:
         got = "a folder without one" if place.is_dir() else "a file" if place.exists() else "no such folder"
-    for above in (place, *list(place.parents)[:2]):
+    around: list[Path] = [place, place.parent, place.parent.parent]
+    for above in around:
         folder = above if above.name == kind.kind else above / kind.kind
         if there := sorted(manifest.parent for manifest in folder.glob(f"*/{MANIFEST}")):
             fix = f"pass one of {', '.join(map(str, there))}."
