@@ -10,7 +10,7 @@ import numpy as np
 from bask_data.drawing.colours import N_LABEL_COLOURS, css, instance_colour, turbo_gradient
 from bask_data.drawing.images import depth_picture, jpeg_uri, resize, resize_labels
 from bask_data.drawing.mask_pictures import mask_picture
-from bask_data.drawing.pictures import matches_picture, spread_matches
+from bask_data.drawing.match_pictures import matches_picture, spread_matches
 from bask_data.drawing.plots import histogram
 from bask_data.evaluation.artifact_figures import matches_figures, recording_figures, view_changes
 from bask_data.evaluation.lookup import find, find_recording, find_truth, spread_frames

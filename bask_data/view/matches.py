@@ -9,7 +9,7 @@ import numpy as np
 from bask_data.core.geometry import transform, unproject
 from bask_data.dataset import Dataset
 from bask_data.drawing.colours import palette
-from bask_data.drawing.pictures import spread_matches
+from bask_data.drawing.match_pictures import spread_matches
 from bask_data.errors import BadData
 from bask_data.evaluation.lookup import find, spread_frames
 from bask_data.kinds import Camera, Correspondences, Scan

@@ -9,7 +9,8 @@ import pytest
 from bask_data.drawing.colours import palette
 from bask_data.drawing.images import depth_picture, jpeg_uri, resize
 from bask_data.drawing.mask_pictures import mask_picture
-from bask_data.drawing.pictures import Mark, crop_picture, heat_picture, marks_picture, matches_picture
+from bask_data.drawing.match_pictures import matches_picture
+from bask_data.drawing.pictures import Mark, crop_picture, heat_picture, marks_picture
 
 GREY = np.full((60, 80, 3), 90, np.uint8)
 
