@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray
 
 from bask_data.core.geometry import in_image, invert_rigid, project, transform, unproject
-from bask_data.core.scores import true_depth
+from bask_data.core.match_errors import true_depth
 
 WINDOW = 2
 """Half the window, pixels, that a surface's tangent plane is fitted in. Chosen, sensitivity not measured."""

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from bask_data.core import scores
+from bask_data.core.label_overlap import best_instances
+from bask_data.core.scores import distribution
 from bask_data.evaluation.lookup import spread_frames
 from bask_data.evaluation.masks import count_masks, label_groups
 from bask_data.kinds import Camera, Correspondences, ObjectInstances, Reconstruction, Recording, Truth, VisibleMasks
@@ -44,7 +45,7 @@ def _camera_figures(camera: Camera) -> dict[str, Any]:
         "seconds": float(camera.time[-1] - camera.time[0]) if camera.n_frames else 0.0,
         "path_m": float(steps.sum()),
         "depth_share": float(np.mean(measured)) if measured else math.nan,
-        "depth_m": scores.distribution(all_depths),
+        "depth_m": distribution(all_depths),
         "depth_range_m": [float(x) for x in np.percentile(all_depths, [2, 98])] if len(all_depths) else [0.0, 1.0],
     }
 
@@ -119,8 +120,8 @@ def _visibility(fraction: np.ndarray, certain: np.ndarray, n_pixels: np.ndarray)
                 "id": i + 1,
                 "n_frames_in_view": len(known),
                 "n_frames_seen": int((known > 0).sum()),
-                "visible_fraction": scores.distribution(known),
-                "measured_fraction": scores.distribution(certain[:, i]),
+                "visible_fraction": distribution(known),
+                "measured_fraction": distribution(certain[:, i]),
                 "least_visible": float(known.min()) if len(known) else math.nan,
                 "n_pixels": int(n_pixels[i + 1]) if i + 1 < len(n_pixels) else 0,
             }
@@ -134,7 +135,7 @@ def _label_matches(table: np.ndarray, truth: Truth) -> list[dict[str, Any]]:
     for label, name in sorted(truth.label_names.items()):
         if 0 < label < len(groups):
             names.setdefault(int(groups[label]), []).append(name)
-    matches = scores.best_instances(table)
+    matches = best_instances(table)
     taken = [match.instance for match in matches if match.iou >= SHARED_IOU]
     return [
         {
@@ -161,11 +162,11 @@ def matches_figures(correspondences: Correspondences | None) -> dict[str, Any]:
         "n_attempts": attempts,
         "accepted_share": int(column["n_matches"].sum()) / attempts if attempts else math.nan,
         "n_pairs_without_match": int((column["n_matches"] == 0).sum()),
-        "matches_per_pair": scores.distribution(column["n_matches"].astype(np.float64)),
-        "distance_m": scores.distribution(column["distance"]),
-        "angle_deg": scores.distribution(np.rad2deg(column["angle"])),
-        "scale": scores.distribution(change.scale),
-        "rotation_deg": scores.distribution(np.rad2deg(change.rotation)),
+        "matches_per_pair": distribution(column["n_matches"].astype(np.float64)),
+        "distance_m": distribution(column["distance"]),
+        "angle_deg": distribution(np.rad2deg(column["angle"])),
+        "scale": distribution(change.scale),
+        "rotation_deg": distribution(np.rad2deg(change.rotation)),
         "matches_per_instance": {int(row["values"]): int(row["counts"]) for row in sorted(counts, key=_instance)},
         "rejections": dict(correspondences.metadata.rejections),
         "rejections_per_instance": _rejections(correspondences),

@@ -54,7 +54,7 @@ def matches_of(dataset: Dataset, scene: str) -> MatchScore:
     """
     import numpy as np
 
-    from bask_data.core import scores
+    from bask_data.core.match_errors import TrueView, match_errors
 
     scan, truth = Scan(dataset.path(Scan, scene)), Truth(dataset.path(Truth, scene))
     correspondences = Correspondences(dataset.path(Correspondences, scene))
@@ -76,10 +76,10 @@ def matches_of(dataset: Dataset, scene: str) -> MatchScore:
         uv_a, uv_b = (np.stack([column[f"u_{one}"][mine], column[f"v_{one}"][mine]], axis=1) for one in "ab")
         places = [(pair[f"camera_{one}"], pair[f"frame_{one}"]) for one in "ab"]
         a, b = (
-            scores.TrueView(*seen(camera, i), scan.camera(camera).K, truth.world_from_cameras(camera)[i])
+            TrueView(*seen(camera, i), scan.camera(camera).K, truth.world_from_cameras(camera)[i])
             for camera, i in places
         )
-        found = scores.match_errors(uv_a, uv_b, a, b)
+        found = match_errors(uv_a, uv_b, a, b)
         errors.append(found.error_px)
         n_hidden += int(found.hidden().sum())
     return MatchScore(np.concatenate(errors), n_hidden)

@@ -62,8 +62,7 @@ class MaskCounts:
     """Pixel counts of a scene's masks, over the selected frames of all cameras.
 
     Args:
-        table: of `core.scores.overlap` with the labels, if any; those of touching objects are one, and the robot's are
-            background.
+        table: of `overlap` with the labels, if any; those of touching objects are one, and the robot's are background.
         n_pixels: by instance (256,).
         n_labelled_frames: frames with labels.
         n_labelled_pixels: of the masks in those.
@@ -89,10 +88,10 @@ def count_masks(masks: VisibleMasks, truth: Truth | None, frames: Callable[[int]
     """
     import numpy as np
 
-    from bask_data.core import scores
+    from bask_data.core.label_overlap import N_LABELS, overlap
 
     groups = label_groups(truth)
-    n = scores.N_LABELS
+    n = N_LABELS
     counts = MaskCounts(np.zeros((n, n), np.int64), np.zeros(n, np.int64))
     for name in masks.camera_names:
         camera = masks.camera(name)
@@ -111,7 +110,7 @@ def count_masks(masks: VisibleMasks, truth: Truth | None, frames: Callable[[int]
                     expected=f"images of the ground-truth labels' size, {labels.shape}",
                     got=instance.shape,
                 )
-            counts.table += scores.overlap(groups[labels], instance)
+            counts.table += overlap(groups[labels], instance)
             counts.n_labelled_frames += 1
             counts.n_labelled_pixels += int(np.count_nonzero(instance))
             counts.n_on_robot += int(np.count_nonzero(instance[labels == ROBOT]))
@@ -120,9 +119,9 @@ def count_masks(masks: VisibleMasks, truth: Truth | None, frames: Callable[[int]
 
 def label_groups(truth: Truth | None) -> np.ndarray:
     """The label (256,) that each label counts as: touching objects are one, the robot is background."""
-    from bask_data.core import scores
+    from bask_data.core.label_overlap import joined
 
-    groups = scores.joined(truth.touching if truth else [])
+    groups = joined(truth.touching if truth else [])
     groups[ROBOT] = 0
     return groups
 
@@ -133,7 +132,7 @@ def masks_of(dataset: Dataset, scene: str) -> MaskScore:
     Raises:
         BadData: they differ in size.
     """
-    from bask_data.core import scores
+    from bask_data.core.label_overlap import paired_instances
 
     masks, truth = VisibleMasks(dataset.path(VisibleMasks, scene)), Truth(dataset.path(Truth, scene))
     counts, groups = count_masks(masks, truth), label_groups(truth)
@@ -141,7 +140,7 @@ def masks_of(dataset: Dataset, scene: str) -> MaskScore:
     return MaskScore(
         tuple(
             ObjectScore(_names(truth, groups, pair.label), pair.instance, pair.iou, pair.n_pixels)
-            for pair in scores.paired_instances(counts.table)
+            for pair in paired_instances(counts.table)
         ),
         masks.n_instances,
         counts.n_labelled_frames,

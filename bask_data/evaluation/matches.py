@@ -73,8 +73,8 @@ def _by_correspondences(
     import numpy as np
 
     from bask_data.core.geometry import unproject
+    from bask_data.core.match_errors import true_depth
     from bask_data.core.nearest_depth import fill_depth
-    from bask_data.core.scores import true_depth
 
     stored = Correspondences(dataset.path(Correspondences, frames.scene))
     matches, wanted, pairs, end = stored.matches(), set(chosen), [], 0

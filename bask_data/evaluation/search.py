@@ -111,7 +111,7 @@ def _error_3d(frames: Frames, pair: PairMatches, best: np.ndarray) -> np.ndarray
     import numpy as np
 
     from bask_data.core.geometry import unproject
-    from bask_data.core.scores import true_depth
+    from bask_data.core.match_errors import true_depth
 
     z = true_depth(frames.depth(pair.b), frames.labels(pair.b), best)
     points = unproject(best, np.where(z > 0, z, np.nan), frames.K(pair.b.camera))

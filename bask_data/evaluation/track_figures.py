@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from bask_data.core import scores
 from bask_data.core.keypoint_scores import distances
+from bask_data.core.landings import Landing, landing
+from bask_data.core.scores import distribution
+from bask_data.core.track_scores import object_shares, spread, step_length
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
 from bask_data.evaluation.lookup import find, find_recording, find_truth, input_variant
@@ -80,10 +82,10 @@ class TrackScores:
     @cached_property
     def spread(self) -> np.ndarray:
         """Spread (t, k), metres."""
-        return scores.spread(self.track.covariance)
+        return spread(self.track.covariance)
 
     @cached_property
-    def landings(self) -> dict[str, list[scores.Landing]]:
+    def landings(self) -> dict[str, list[Landing]]:
         """Per camera with labels, where the keypoints lie in each frame."""
         truth = self.truth
         if truth is None or not self.labels.any():
@@ -93,7 +95,7 @@ class TrackScores:
         )
         return {
             camera: [
-                scores.landing(pixel, self.labels, _checked(truth, camera, i_frame, sizes.get(camera)), TOLERANCE_PX)
+                landing(pixel, self.labels, _checked(truth, camera, i_frame, sizes.get(camera)), TOLERANCE_PX)
                 for i_frame, pixel in enumerate(self.track.pixel(camera))
             ]
             for camera in self.track.camera_names
@@ -101,7 +103,7 @@ class TrackScores:
         }
 
     @property
-    def all_landings(self) -> list[scores.Landing]:
+    def all_landings(self) -> list[Landing]:
         """Landings of all cameras and frames."""
         return [landing for landings in self.landings.values() for landing in landings]
 
@@ -151,8 +153,8 @@ def figures_of_track(scored: TrackScores) -> dict[str, Any]:
         "n_frames": len(track.mean),
         "n_keypoints": len(track.names),
         "localised_share": float(np.isfinite(track.mean).all(axis=2).mean()) if track.mean.size else math.nan,
-        "error_m": scores.distribution(error),
-        "error_last_frame_m": scores.distribution(error[-1:]),
+        "error_m": distribution(error),
+        "error_last_frame_m": distribution(error[-1:]),
         "n_keypoints_with_place": int(with_place.sum()),
         "within_2cm": _share_below(error, 0.02),
         "within_5cm": _share_below(error, 0.05),
@@ -162,11 +164,11 @@ def figures_of_track(scored: TrackScores) -> dict[str, Any]:
             for label, value in pose_error.items()
             if truth is not None and label in set(scored.labels[with_place].tolist())
         },
-        "on_object": scores.object_shares(landings),
+        "on_object": object_shares(landings),
         "tolerance_px": TOLERANCE_PX,
         "why_no_share": scored.why_no_share(),
-        "spread_m": scores.distribution(scored.spread),
-        "step_m": scores.distribution(scores.step_length(track.mean)),
+        "spread_m": distribution(scored.spread),
+        "step_m": distribution(step_length(track.mean)),
         "keypoints": [_keypoint_row(scored, i) for i in range(len(track.names))],
     }
 
@@ -189,8 +191,8 @@ def _keypoint_row(scored: TrackScores, i: int) -> dict[str, Any]:
         "name": scored.track.names[i],
         "object": "unknown" if label < 0 else "background" if label == 0 else names.get(label, f"label {label}"),
         "object_here": truth is not None and label > 0 and label in truth.label_names,
-        "error_m": scores.distribution(scored.error[:, i]),
-        "on_object": scores.object_shares(scored.all_landings, chosen),
-        "spread_m": scores.distribution(scored.spread[:, i]),
+        "error_m": distribution(scored.error[:, i]),
+        "on_object": object_shares(scored.all_landings, chosen),
+        "spread_m": distribution(scored.spread[:, i]),
         "localised_share": float(np.isfinite(scored.track.mean[:, i]).all(axis=1).mean()),
     }

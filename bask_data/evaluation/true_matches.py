@@ -75,11 +75,12 @@ def shows(frames: Frames, frame: Frame, uv: np.ndarray, z: np.ndarray, label: np
     """Whether points of objects are visible in a frame (m,), given their pixels (m, 2), depth and labels (m,)."""
     import numpy as np
 
-    from bask_data.core import scores
+    from bask_data.core.landings import label_at
+    from bask_data.core.match_errors import true_depth
 
     labels = frames.labels(frame)
-    off = np.abs(scores.true_depth(frames.depth(frame), labels, uv) - z)
-    return (scores.label_at(labels, uv) == label) & (off <= SEEN_TOLERANCE[0] + SEEN_TOLERANCE[1] * z)
+    off = np.abs(true_depth(frames.depth(frame), labels, uv) - z)
+    return (label_at(labels, uv) == label) & (off <= SEEN_TOLERANCE[0] + SEEN_TOLERANCE[1] * z)
 
 
 def _clear(frames: Frames, frame: Frame) -> np.ndarray:
@@ -100,7 +101,7 @@ def by_truth(frames: Frames, chosen: list[Frame], rng: np.random.Generator) -> l
     """All pairs of the frames with enough matches of the first frame's queries."""
     import numpy as np
 
-    from bask_data.core.scores import label_at
+    from bask_data.core.landings import label_at
 
     clear = {frame: _clear(frames, frame) for frame in chosen}
     queries = [

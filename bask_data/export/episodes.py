@@ -237,7 +237,7 @@ class Episodes:
     def _read(self, entry: Entry) -> Episode:
         import numpy as np
 
-        from bask_data.core.scores import spread
+        from bask_data.core.track_scores import spread
 
         demonstration, track = self._demonstration(entry.name), self.track(entry.name)
         localised = np.isfinite(track.mean).all(axis=-1) & np.isfinite(track.covariance).all(axis=(-2, -1))

@@ -111,7 +111,7 @@ def picked_label(pick: Pick, truth: Truth | None) -> int:
     """Ground-truth label of the object that a keypoint was picked on: 0 is background, -1 unknown."""
     import numpy as np
 
-    from bask_data.core import scores
+    from bask_data.core.landings import label_at
 
     if truth is None or pick.camera not in truth.camera_names:
         return -1
@@ -119,7 +119,7 @@ def picked_label(pick: Pick, truth: Truth | None) -> int:
         labels = truth.instance(pick.camera, pick.frame)
     except IndexError:
         return -1
-    return int(scores.label_at(labels, np.array([[pick.u, pick.v]]))[0])
+    return int(label_at(labels, np.array([[pick.u, pick.v]]))[0])
 
 
 def picked_point(pick: Pick, known: Known | None) -> np.ndarray | None:
@@ -129,8 +129,8 @@ def picked_point(pick: Pick, known: Known | None) -> np.ndarray | None:
     """
     import numpy as np
 
-    from bask_data.core import scores
     from bask_data.core.geometry import invert_rigid, transform, unproject
+    from bask_data.core.match_errors import true_depth
 
     point = None if pick.point_world is None else np.array(pick.point_world, dtype=np.float64)
     truth = known.truth if known else None
@@ -138,7 +138,7 @@ def picked_point(pick: Pick, known: Known | None) -> np.ndarray | None:
         return point
     uv = np.array([[pick.u, pick.v]])
     depth, labels = truth.depth(pick.camera, pick.frame), truth.instance(pick.camera, pick.frame)
-    z = scores.true_depth(depth, labels, uv)
+    z = true_depth(depth, labels, uv)
     if z[0] <= 0:
         return point
     world_from_camera = truth.world_from_cameras(pick.camera)[pick.frame]

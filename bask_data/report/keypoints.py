@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bask_data.core.scores import object_shares
+from bask_data.core.track_scores import object_shares
 from bask_data.drawing.colours import Colour, css, palette
 from bask_data.drawing.images import jpeg_uri
 from bask_data.drawing.marks import N_TRAIL, camera_tracks

@@ -8,22 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bask_data.core.geometry import invert_rigid, project, transform, unproject
-from bask_data.core.scores import (
-    OUTSIDE,
-    TrueView,
-    best_instances,
-    distribution,
-    joined,
-    label_at,
-    landing,
-    match_errors,
-    object_shares,
-    overlap,
-    paired_instances,
-    spread,
-    step_length,
-    true_depth,
-)
+from bask_data.core.label_overlap import best_instances, joined, overlap, paired_instances
+from bask_data.core.landings import OUTSIDE, label_at, landing
+from bask_data.core.match_errors import TrueView, match_errors, true_depth
+from bask_data.core.scores import distribution
+from bask_data.core.track_scores import object_shares, spread, step_length
 from tests import scenes
 
 SEEDS = st.integers(0, 2**32 - 1)
