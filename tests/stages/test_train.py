@@ -195,10 +195,12 @@ def test_interrupted_it_goes_on_and_ends_the_same(learned_from, trained, tmp_pat
     monkeypatch.undo()
     [state] = (other.root / ".scratch").glob("resume*/state.safetensors")
     assert saved_step(state.parent) == 2
-    learn, learned = training._Run.learn, []
-    monkeypatch.setattr(training._Run, "learn", lambda run, step, some: learned.append(step) or learn(run, step, some))
+    train_step, trained = training._Run.train_step, []
+    monkeypatch.setattr(
+        training._Run, "train_step", lambda run, step, some: trained.append(step) or train_step(run, step, some)
+    )
     assert made(other).status == "made"
-    assert learned == [2, 3]
+    assert trained == [2, 3]
     assert digest(other) == digest(learned_from)
     names = {file.name for file in learned_from.path(DescriptorNet).iterdir()}
     assert {file.name for file in other.path(DescriptorNet).iterdir()} == names
