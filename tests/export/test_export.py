@@ -460,7 +460,10 @@ def test_stale_keypoints_are_noted(tracked, tmp_path: Path) -> None:
     ]
     (dataset.root / "params.yaml").write_text("- encode\n")
     [note] = notes("broken")
-    assert note.startswith("cannot check whether the keypoints are up to date: ") and "expected a section per stage, got list" in note
+    assert (
+        note.startswith("cannot check whether the keypoints are up to date: ")
+        and "expected a section per stage, got list" in note
+    )
     (dataset.root / "params.yaml").unlink()
     shutil.rmtree(dataset.path(ReferenceKeypoints))
     [note] = notes("gone")
