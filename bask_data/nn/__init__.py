@@ -2,8 +2,8 @@
 
 On a CPU, torch's threads meet at a barrier after every parallel loop, about a thousand times per training step. By
 default libgomp, the OpenMP runtime of torch's Linux wheels, lets them spin at a barrier for 3 ms before they sleep. On
-a busy machine the thread they wait for is often not running, and training slows down by an order of magnitude. This
-package limits spinning to `SPIN_COUNT` iterations, unless the environment already sets a limit. The runtime reads the
+a busy machine the thread they wait for is often not running, and a step takes several times as long. This package
+limits spinning to `SPIN_COUNT` iterations, unless the environment already sets a limit. The runtime reads the
 environment when torch is first imported; importing any module of this package runs the code below before that.
 """
 
