@@ -19,7 +19,8 @@ from bask_data.picker.desk import Desk
 from bask_data.picker.draft import Draft, KeypointMark
 from bask_data.picker.gallery import Gallery
 from bask_data.picker.server import serve
-from bask_data.stages.reference import ReferenceParams, as_text, chosen, parsed
+from bask_data.stages.automatic_keypoints import Wanted, chosen
+from bask_data.stages.reference import ReferenceParams, as_text, parsed
 
 __all__ = ["Picking", "pick_keypoints"]
 
@@ -88,7 +89,7 @@ def _desk(picking: Picking, task: Task, file: Path, say: Callable[[str], None]) 
     params = task.params
 
     def propose(scene: str, n: int) -> list[KeypointMark]:
-        wanted = params.model_copy(update={"n": n, "instances": () if scene != params.scene else params.instances})
+        wanted = Wanted(n, () if scene != params.scene else params.instances, params.seed)
         masks = dataset.path(VisibleMasks, scene)
         if scene not in dataset.items("scene") or not masks.exists():
             expected, fix = "a scan with masks of its objects", "choose another, or run `bask-data run` first."
