@@ -43,13 +43,16 @@ _BASK: dict[str, Any] = {
 PRESETS: dict[PresetName, dict[str, dict[str, Any]]] = {
     # The parameters' own defaults.
     "tabletop": {},
-    # Eq. 1 applies the hinge to the squared distance; III-A.3: several scales, full rotation, crops of random size down
-    # to half of the image, padded with blank pixels.
+    # Eq. 1 applies the hinge to the squared distance and sums over the matches the mean over the non-matches of each;
+    # III-A.3: distances divided by sqrt(D), several scales, full rotation, crops of random size down to half of the
+    # image, padded with blank pixels.
     "bask": {
         "train": {
             **_BASK,
             "hinge": "squared",
-            "hard_negatives": False,
+            "non_match_term": "sum",
+            "match_root": False,
+            "background_normalised": True,
             "crop": "padded",
             "zoom": (1.0, 2.0),
             "rotation_deg": 180.0,
@@ -57,13 +60,17 @@ PRESETS: dict[PresetName, dict[str, dict[str, Any]]] = {
         },
         "encode": {"filter": "particle", "settings": "paper"},
     },
-    # The code squares the hinge of the distance and divides by the number of hard negatives; it resizes crops to the
-    # image's size, does not rotate, and pastes a further object into three of ten pairs.
+    # The code squares the hinge of the distance and divides by the number of hard negatives, on and off the object
+    # together; of the distances it divides those of non-matches on the object by sqrt(D), the squared ones of matches
+    # likewise by sqrt(D), and those of other non-matches by nothing. It resizes crops to the image's size, does not
+    # rotate, and pastes a further object into three of ten pairs.
     "bask-code": {
         "train": {
             **_BASK,
             "hinge": "plain",
-            "hard_negatives": True,
+            "non_match_term": "hard",
+            "match_root": True,
+            "background_normalised": False,
             "crop": "resized",
             "zoom": (1.0, 2.0),
             "rotation_deg": 0.0,
@@ -79,7 +86,9 @@ PRESETS: dict[PresetName, dict[str, dict[str, Any]]] = {
             "descriptor_dim": 16,
             "normalised": False,
             "hinge": "plain",
-            "hard_negatives": True,
+            "non_match_term": "hard",
+            "match_root": False,
+            "background_normalised": True,
             "margin_foreground": 0.5,
             "margin_background": 0.5,
             "foreground_share": 0.5,

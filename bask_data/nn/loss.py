@@ -21,8 +21,8 @@ from torch import Tensor
 from bask_data.nn.resnet import STRIDE
 
 TINY = 1e-6
-"""Added to squared distances before the square root, whose slope at zero is infinite. Corresponds to a distance of
-0.001, far below the margins of 0.25 and 0.75; sensitivity not measured."""
+"""Added to the squared distances of heat maps before the square root, whose slope at zero is infinite. Corresponds to a
+distance of 0.001; sensitivity not measured."""
 
 
 @dataclass(frozen=True)
@@ -32,16 +32,22 @@ class ContrastiveSettings:
     Args:
         form: `squared` is the hinge of the squared distance, max(0, M - z^2), as in the paper; `plain` is the squared
             hinge of the distance, max(0, M - z)^2, as in Dense Object Nets.
-        hard_negatives: average separately over the non-matches on the object and off it, each over those of the pair
-            inside the margin only, which keep their weight as they become rare.
-        normalised: divide distances by sqrt(D); otherwise margins refer to plain Euclidean distances.
+        non_match_term: `mean` over the non-matches of each match and over the matches; `sum` over the matches of those
+            means, as Eq. 1 is printed; `hard`, the sum over all non-matches of a pair, on the object and off it
+            together, divided by the number of those inside their margin, which keep their weight as they become rare.
+        normalised: divide distances by sqrt(D); otherwise margins refer to plain Euclidean distances, and the two
+            settings below have no effect.
+        match_root: divide the squared distances of matches by sqrt(D) instead of D.
+        background_normalised: divide the distances of non-matches off the object by sqrt(D), too.
     """
 
     margin_foreground: float = 0.25
     margin_background: float = 0.75
     form: Literal["squared", "plain"] = "squared"
-    hard_negatives: bool = False
+    non_match_term: Literal["mean", "sum", "hard"] = "mean"
     normalised: bool = True
+    match_root: bool = False
+    background_normalised: bool = True
 
 
 @dataclass(frozen=True)
@@ -69,41 +75,59 @@ def contrastive(
     valid: Bool[Tensor, "b m n"],
     settings: ContrastiveSettings = ContrastiveSettings(),
 ) -> Terms:
-    """Mean over matches of z^2, plus the mean over non-matches of the hinge.
+    """Mean over matches of z^2, plus the hinge of the non-matches, foreground and background together.
 
-    The hinge is averaged over the non-matches of each match, foreground and background together: their shares are
-    decided in sampling. `hard_negatives` averages differently, see `ContrastiveSettings`.
+    By default the hinge is averaged over all non-matches. Eq. 1 as printed gives each match the weight 1 / m, and each
+    of its n non-matches 1 / n: m times as much as their mean. Other methods divide differently, see
+    `ContrastiveSettings`.
 
     Args:
         non_matches_b: descriptors of the second image that do not correspond to `matches_a`.
         foreground: non-matches on the sampled object, with the smaller margin.
         valid: non-matches to use; the others are ignored.
 
-    Source: von Hartz et al. 2023, Eq. 1 (`squared`; both terms are averaged over matches); Florence et al.
-        2018, Sec. III (`plain` and `hard_negatives`).
+    Source: von Hartz et al. 2023, Eq. 1 (`squared` and `sum`); Florence et al. 2018, Sec. III (`plain` and `hard`).
     """
-    unit = 1 if settings.normalised else matches_a.shape[-1]
-    match = unit * squared_distance(matches_a, matches_b)
+    match_unit, unit = _units(settings, matches_a.shape[-1], foreground)
+    match = match_unit * squared_distance(matches_a, matches_b)
     z_squared = unit * squared_distance(matches_a[:, :, None].expand_as(non_matches_b), non_matches_b)
-    margin = torch.where(foreground, settings.margin_foreground, settings.margin_background)
-    if settings.form == "squared":
-        hinge = F.relu(margin - z_squared)
-    else:
-        hinge = F.relu(margin - (z_squared + TINY).sqrt()).square()
-    hinge = hinge * valid
+    hinge = _hinge(z_squared, foreground, settings) * valid
     inside = hinge.detach() > 0
     groups = {"foreground": valid & foreground, "background": valid & ~foreground}
-    if settings.hard_negatives:
-        hard = [(hinge * group).sum((1, 2)) / (inside & group).sum((1, 2)).clamp(min=1) for group in groups.values()]
-        non_match = hard[0] + hard[1]
+    if settings.non_match_term == "hard":
+        non_match = hinge.sum((1, 2)) / inside.sum((1, 2)).clamp(min=1)
     else:
-        non_match = (hinge.sum(-1) / valid.sum(-1).clamp(min=1)).mean(-1)
+        of_matches = hinge.sum(-1) / valid.sum(-1).clamp(min=1)
+        non_match = of_matches.sum(-1) if settings.non_match_term == "sum" else of_matches.mean(-1)
     loss = match.mean(-1) + non_match
     logged = {"loss": _summed(loss), "loss_match": _summed(match)}
     for name, group in groups.items():
         logged[f"loss_{name}"] = _summed(hinge, group)
         logged[f"share_inside_margin_{name}"] = _summed(inside, group)
     return Terms(loss.mean(), logged)
+
+
+def _units(
+    settings: ContrastiveSettings, dimension: int, foreground: Bool[Tensor, "b m n"]
+) -> tuple[float, float | Tensor]:
+    """Factors on the mean squared differences of matches and of non-matches."""
+    if not settings.normalised:
+        return float(dimension), float(dimension)
+    match_unit = math.sqrt(dimension) if settings.match_root else 1.0
+    return match_unit, 1.0 if settings.background_normalised else torch.where(foreground, 1.0, float(dimension))
+
+
+def _hinge(
+    z_squared: Float[Tensor, "b m n"], foreground: Bool[Tensor, "b m n"], settings: ContrastiveSettings
+) -> Float[Tensor, "b m n"]:
+    """The hinge of each non-match, with the margin of where it is."""
+    margin = torch.where(foreground, settings.margin_foreground, settings.margin_background)
+    if settings.form == "squared":
+        return F.relu(margin - z_squared)
+    # The slope of the root is infinite at zero, and NaN in the gradient even of what `where` does not choose.
+    apart = z_squared > 0
+    z = z_squared.where(apart, 1.0).sqrt().where(apart, 0.0)
+    return F.relu(margin - z).square()
 
 
 def heat_map_entropy(

@@ -68,12 +68,23 @@ class TrainParams(Params):
     hinge: Literal["squared", "plain"] = Field(
         "squared", description="contrastive: max(0, M - z^2), as in the paper, or max(0, M - z)^2."
     )
-    hard_negatives: bool = Field(
-        False,
-        description="contrastive: average the non-matches inside the margin only, on and off the object separately.",
+    non_match_term: Literal["mean", "sum", "hard"] = Field(
+        "mean",
+        description="contrastive: mean: over all non-matches. sum: over the matches, of the mean over each one's "
+        "non-matches, as in the paper. hard: the sum divided by the number of non-matches inside their margin.",
     )
     normalised: bool = Field(
         True, description="contrastive: divide distances by sqrt(D), so that margins mean the same for every D."
+    )
+    match_root: bool = Field(
+        False,
+        description="contrastive, normalised: divide squared distances of matches by sqrt(D) instead of D, as the code "
+        "of the paper's authors does.",
+    )
+    background_normalised: bool = Field(
+        True,
+        description="contrastive, normalised: divide distances to pixels off the object, too, which the code of the "
+        "paper's authors does not.",
     )
     pairs_per_step: int = Field(2, ge=1, description="Image pairs in a batch, of all processes together.")
     accumulate: int = Field(
@@ -184,7 +195,7 @@ class TrainParams(Params):
         return patience
 
 
-@stage(makes=DescriptorNet, version=3, resumable=True, together=True)
+@stage(makes=DescriptorNet, version=4, resumable=True, together=True)
 def train(
     scans: list[Scan],
     masks: list[VisibleMasks],
@@ -308,8 +319,10 @@ def _settings(params: TrainParams, device: str) -> TrainingSettings:
             params.margin_foreground,
             params.margin_background,
             params.hinge,
-            params.hard_negatives,
+            params.non_match_term,
             params.normalised,
+            params.match_root,
+            params.background_normalised,
         ),
         alpha=params.alpha,
         match_weight=params.match_weight,

@@ -29,24 +29,26 @@ def random_case(seed: int = 0, scale: float = 0.7):
 def slow_contrastive(a, p, others, foreground, valid, settings: ContrastiveSettings) -> dict[str, float]:
     """Eq. 1 in loops over pairs and pixels: the loss and the means of its terms."""
     b, m, _, d = others.shape
-    unit = 1 / d if settings.normalised else 1.0
+    root = np.sqrt(d) if settings.normalised else 1.0
     losses, matches, hinges = [], [], {True: [], False: []}
     for i in range(b):
-        total, hard = 0.0, {True: [], False: []}
+        total, hard = 0.0, []
         for j in range(m):
-            matches.append(unit * sum((a[i, j, c] - p[i, j, c]) ** 2 for c in range(d)))
+            squared = sum((a[i, j, c] - p[i, j, c]) ** 2 for c in range(d))
+            matches.append(squared / root if settings.match_root else squared / root**2)
             total += matches[-1] / m
             own = []
             for k in np.flatnonzero(valid[i, j]):
-                z = np.sqrt(unit * sum((a[i, j, c] - others[i, j, k, c]) ** 2 for c in range(d)) + TINY)
-                margin = settings.margin_foreground if foreground[i, j, k] else settings.margin_background
-                own.append(max(0, margin - z**2 + TINY) if settings.form == "squared" else max(0, margin - z) ** 2)
-                hinges[bool(foreground[i, j, k])].append(own[-1])
-                hard[bool(foreground[i, j, k])] += [own[-1]] if own[-1] > 0 else []
-            if not settings.hard_negatives:
-                total += sum(own) / max(len(own), 1) / m
-        if settings.hard_negatives:
-            total += sum(sum(some) / max(len(some), 1) for some in hard.values())
+                on_object = bool(foreground[i, j, k])
+                z = np.sqrt(sum((a[i, j, c] - others[i, j, k, c]) ** 2 for c in range(d)))
+                z = z / root if on_object or settings.background_normalised else z
+                margin = settings.margin_foreground if on_object else settings.margin_background
+                own.append(max(0, margin - z**2) if settings.form == "squared" else max(0, margin - z) ** 2)
+                hinges[on_object].append(own[-1])
+                hard += [own[-1]] if own[-1] > 0 else []
+            total += {"mean": 1 / m, "sum": 1.0, "hard": 0.0}[settings.non_match_term] * sum(own) / max(len(own), 1)
+        if settings.non_match_term == "hard":
+            total += sum(hard) / max(len(hard), 1)
         losses.append(total)
     means = {"loss": np.mean(losses), "loss_match": np.mean(matches)}
     for name, some in (("foreground", hinges[True]), ("background", hinges[False])):
@@ -58,23 +60,38 @@ def means(terms) -> dict[str, float]:
     return {name: float(value) / float(count) for name, (value, count) in terms.logged.items()}
 
 
+DISTANCES = {
+    "normalised": {},
+    "plain": {"normalised": False},
+    "by the root": {"match_root": True},
+    "background plain": {"background_normalised": False},
+}
+
+
 @pytest.mark.parametrize("form", ["squared", "plain"])
-@pytest.mark.parametrize("hard_negatives", [False, True])
-@pytest.mark.parametrize("normalised", [False, True])
-def test_contrastive_loss_and_all_its_terms_equal_their_formulas_in_loops(form, hard_negatives, normalised):
-    case = random_case(scale=0.3 if normalised else 0.15)
-    settings = ContrastiveSettings(form=form, hard_negatives=hard_negatives, normalised=normalised)
+@pytest.mark.parametrize("non_match_term", ["mean", "sum", "hard"])
+@pytest.mark.parametrize("distances", DISTANCES)
+def test_contrastive_loss_and_all_its_terms_equal_their_formulas_in_loops(form, non_match_term, distances):
+    settings = ContrastiveSettings(form=form, non_match_term=non_match_term, **DISTANCES[distances])
+    case = random_case(scale=0.15 if distances == "plain" else 0.2)
     expected = slow_contrastive(*case, settings)
     assert all(expected.values()), "a term that is zero proves nothing"
     found = contrastive(*map(torch.from_numpy, case), settings)
-    assert float(found.loss) == pytest.approx(expected["loss"], rel=1e-4)
-    assert means(found) == pytest.approx(expected, rel=1e-4)
+    assert float(found.loss) == pytest.approx(expected["loss"], rel=1e-9)
+    assert means(found) == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize("hard_negatives", [False, True])
-def test_parts_of_a_batch_add_up_to_the_whole(hard_negatives):
+@pytest.mark.parametrize("settings", [{"match_root": True}, {"background_normalised": False}])
+def test_plain_distances_are_divided_by_nothing_whatever_else_is_set(settings):
+    case = [torch.from_numpy(array) for array in random_case(scale=0.15)]
+    plain, both = ContrastiveSettings(normalised=False), ContrastiveSettings(normalised=False, **settings)
+    assert float(contrastive(*case, both).loss) == float(contrastive(*case, plain).loss)
+
+
+@pytest.mark.parametrize("non_match_term", ["mean", "sum", "hard"])
+def test_parts_of_a_batch_add_up_to_the_whole(non_match_term):
     case = [torch.from_numpy(array) for array in random_case()]
-    settings = ContrastiveSettings(hard_negatives=hard_negatives)
+    settings = ContrastiveSettings(non_match_term=non_match_term)
     whole = contrastive(*case, settings)
     parts = [contrastive(*(array[i : i + 1] for array in case), settings) for i in range(2)]
     assert float(sum(part.loss for part in parts)) / 2 == pytest.approx(float(whole.loss))
