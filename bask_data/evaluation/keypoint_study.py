@@ -18,8 +18,9 @@ from bask_data.artifact import write_text_atomically
 from bask_data.dataset import Dataset
 from bask_data.evaluation.held_out import check_variants
 from bask_data.evaluation.places import known_of
+from bask_data.evaluation.study_comparisons import comparisons
 from bask_data.evaluation.study_figures import group_figures
-from bask_data.evaluation.study_tracks import methods_of, references_of, tracked_in
+from bask_data.evaluation.study_tracks import Tracked, methods_of, references_of, tracked_in
 from bask_data.evaluation.tracked_points import by_objects, demonstrations_with_truth, points_to_track
 from bask_data.kinds import Demonstration, DescriptorNet, Truth
 from bask_data.kinds.places import points_on_objects
@@ -77,6 +78,7 @@ def evaluated_keypoints(
     methods = methods_of(units, settings.filters)
     groups = by_objects(dataset, demonstrations_with_truth(dataset, settings.demonstrations), settings.objects)
     figures: dict[str, Any] = {}
+    all_tracks: list[Tracked] = []
     for tracked_objects, names in groups.items():
         picks = points_to_track(
             dataset,
@@ -96,7 +98,11 @@ def evaluated_keypoints(
                 for name in names
             ]
         on = points_on_objects(picks, known_of(dataset, picks)).names
-        figures["+".join(tracked_objects)] = group_figures(picks, on, tracks, methods)
+        figures["+".join(tracked_objects)] = {
+            **group_figures(picks, on, tracks, methods),
+            "comparisons": comparisons(tracks, methods, settings.seed),
+        }
+        all_tracks += tracks
     return {
         "settings": settings.filters,
         "seed": settings.seed,
@@ -112,6 +118,7 @@ def evaluated_keypoints(
         "margins": {name: _margins(dataset, name, unit) for name, unit in units.items()},
         "measured_with": _digests(dataset, variants, [name for names in groups.values() for name in names]),
         "groups": figures,
+        "comparisons": comparisons(all_tracks, methods, settings.seed),
     }
 
 

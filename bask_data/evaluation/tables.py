@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from bask_data.evaluation.study_comparisons import comparison_lines
 from bask_data.spelling import number_of
 
 COLUMNS: dict[str, tuple[str, float, str]] = {
@@ -125,7 +126,12 @@ def keypoint_tables(result: dict[str, Any]) -> Iterator[str]:
             yield f"    {method:<34}" + cells + "".join(f"{cell:>8}" for cell in others)
         counted = next(iter(methods.values()))["error"]
         yield f"    {'frames x keypoints':<34}" + "".join(f"{counted[phase]['n']:>13}" for phase in phases)
+        yield from comparison_lines(group["comparisons"])
+    if len(result["groups"]) > 1:
+        yield "all objects"
+        yield from comparison_lines(result["comparisons"])
     yield "mode: mean distance of the belief's mode to ground truth; apart: to its mean, large for ambiguous keypoints"
+    yield "[,]: 95 % interval of the difference, from resampled demonstrations; one that holds zero shows no difference"
 
 
 def _written(value: float | None, factor: float, form: str) -> str:

@@ -387,9 +387,11 @@ def test_the_command_prints_and_saves_the_study(studied: Dataset, tmp_path: Path
     told = json.loads(answer.stdout)
     assert told["command"] == "evaluate keypoints"
     assert list(told["groups"]) == ["tin"]
+    assert told["comparisons"] == told["groups"]["tin"]["comparisons"]
+    assert any("too few demonstrations for an interval" in line for line in keypoint_tables(told))
     assert [Path(file).exists() for file in told["files"]] == [True] * 3
     assert json.loads((studied.root / FILE).read_text())["groups"] == told["groups"]
     particle = told["groups"]["tin"]["methods"]["main: particle"]["error"]["all"]["mean"]
-    [line] = [line for line in keypoint_tables(told) if "main: particle" in line]
+    [line] = [line for line in keypoint_tables(told) if line.startswith("    main: particle")]
     assert line.split()[2] == f"{1000 * particle:.0f}"
     assert f"next: bask-data report {studied.root}" in answer.stderr
