@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from bask_data.core.geometry import invert_rigid
+from bask_data.sim.hanging import hang_mug, mug_hangs
+from bask_data.sim.motions import Expert, free_spot, pick, place, raised, release
 from bask_data.sim.operator import Operator, grasped, nearest_half_turn, pointing_down
 from bask_data.sim.options import TaskName
+from bask_data.sim.pulling import drawer_is_open, open_drawer
 from bask_data.sim.take import Take
 from bask_data.sim.world import TABLE, World
 
-ABOVE = 0.12
-"""Height above an object from which it is approached, metres. Chosen for the objects of these tasks."""
-
 SPEED_AT_REST = 0.02
 """Metres and radians per second below which objects count as at rest after a task. Chosen."""
-
-
-@dataclass(frozen=True)
-class Expert:
-    """A task's script, and its check of success."""
-
-    work: Callable[[Operator], None]
-    is_done: Callable[[World], bool]
 
 
 def demonstrate(world: World, rng: np.random.Generator) -> Take | None:
@@ -178,57 +167,11 @@ def rubbish_is_in_bin(world: World) -> bool:
     )
 
 
-# Motions shared by the tasks ------------------------------------------------------------------------------------------
-
-
-def raised(point: Float[ndarray, "3"], by: float) -> Float[ndarray, "3"]:
-    """The point `by` metres higher."""
-    return np.array([point[0], point[1], point[2] + by])
-
-
-def pick(operator: Operator, at: Float[ndarray, "3"], yaw: float) -> None:
-    """Approach a point from above with open fingers, and close them."""
-    operator.move(to=pointing_down(raised(at, ABOVE), yaw))
-    operator.move(to=pointing_down(at, yaw), slow=1.5)
-    operator.wait(2)
-    operator.grip(0.0)
-
-
-def place(operator: Operator, at: Float[ndarray, "3"], yaw: float) -> None:
-    """Put down the grasped object with the fingers at a point, and let go."""
-    operator.move(to=pointing_down(np.array([at[0], at[1], operator.target[2, 3]]), yaw))
-    operator.wait(2)
-    operator.move(to=pointing_down(at, yaw), slow=1.5)
-    operator.wait(3)
-    release(operator)
-
-
-def release(operator: Operator) -> None:
-    """Open the fingers and move up."""
-    operator.grip(0.08)
-    operator.shift(z=ABOVE)
-
-
-def free_spot(world: World, name: str, radius: float, rng: np.random.Generator) -> Float[ndarray, "2"]:
-    """Position (x, y) on the table for an object of this radius, metres: the nearest with room, else the roomiest."""
-    others = world.is_object_geom().copy()
-    others[world.geoms_of(name)] = False
-    centres, reach = world.data.geom_xpos[others, :2], world.model.geom_rbound[others]
-    spots = rng.uniform((-0.30, -0.20), (0.30, 0.22), (300, 2))
-    room = (np.linalg.norm(spots[:, None] - centres, axis=-1) - reach).min(axis=1) - radius
-    roomy = np.flatnonzero(room > 0.03)
-    # The nearest one, as a detour would only make the demonstration longer.
-    here = world.world_from_body(name)[:2, 3]
-    if len(roomy):
-        return spots[roomy[np.argmin(np.linalg.norm(spots[roomy] - here, axis=1))]]
-    return spots[np.argmax(room)]
-
-
 def _others_are_left_alone(world: World, before: Float[ndarray, "k 4 4"]) -> bool:
     """Whether the objects that do not belong to the task moved less than 1 cm, and none fell off the table."""
-    meant = {"microwave": {"door"}, "lid": {"lid"}, "phone": {"phone"}, "rubbish": {"rubbish"}}[world.options.task]
+    meant = EXPERTS[world.options.task].moves
     for (name, _), was, now in zip(world.labels.items(), before, world.world_from_objects(), strict=True):
-        if name not in meant and np.linalg.norm(was[:3, 3] - now[:3, 3]) > 0.01:
+        if name != meant and np.linalg.norm(was[:3, 3] - now[:3, 3]) > 0.01:
             return False
         if np.any(np.abs(now[:2, 3]) > TABLE) or now[2, 3] < -0.05:
             return False
@@ -240,8 +183,10 @@ def _is_at_rest(world: World) -> bool:
 
 
 EXPERTS: dict[TaskName, Expert] = {
-    "microwave": Expert(close_microwave, microwave_is_closed),
-    "lid": Expert(take_lid_off, lid_is_off),
-    "phone": Expert(put_phone_on_base, phone_is_on_base),
-    "rubbish": Expert(put_rubbish_in_bin, rubbish_is_in_bin),
+    "microwave": Expert(close_microwave, microwave_is_closed, moves="door"),
+    "lid": Expert(take_lid_off, lid_is_off, moves="lid"),
+    "phone": Expert(put_phone_on_base, phone_is_on_base, moves="phone"),
+    "rubbish": Expert(put_rubbish_in_bin, rubbish_is_in_bin, moves="rubbish"),
+    "drawer": Expert(open_drawer, drawer_is_open, moves="drawer"),
+    "mug": Expert(hang_mug, mug_hangs, moves="mug"),
 }

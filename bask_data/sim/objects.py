@@ -12,10 +12,12 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from bask_data.sim.options import TaskName
+from bask_data.sim.textures import Faces
 
 Range = tuple[float, float]
 Vector = Sequence[float | int] | np.ndarray
+Colour = tuple[float, float, float]
+WallPainter = Callable[[np.random.Generator, Colour, int], list[Faces]]
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ class Thing:
         hsv: main colour of the texture.
         is_symmetric: whether its appearance is invariant to rotation about z.
         parts: main colours by name of bodies inside `body` with their own labels.
+        joints: ranges of the initial positions of the parts' joints, by name; radians or metres.
+        paint_walls: draws the textures of all walls together; without it, each wall is drawn on its own.
     """
 
     name: str
@@ -55,6 +59,8 @@ class Thing:
     on: str = ""
     is_symmetric: bool = False
     parts: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    joints: dict[str, Range] = field(default_factory=dict)
+    paint_walls: WallPainter | None = None
 
     @property
     def materials(self) -> list[str]:
@@ -100,11 +106,13 @@ def add_geom(
     )
 
 
-def _body(name: str) -> Element:
+def new_body(name: str) -> Element:
+    """An MJCF body without geoms."""
     return Element("body", {"name": name})
 
 
-def _scale(rng: np.random.Generator, share: float = 0.06) -> float:
+def size_factor(rng: np.random.Generator, share: float = 0.06) -> float:
+    """A random factor of a size, at most `share` from 1."""
     return float(1 + rng.uniform(-share, share))
 
 
@@ -114,9 +122,9 @@ DARK = (0.35, 0.35, 0.38, 1.0)
 
 def microwave(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
     """A box open to -y, and a door hinged at its left edge; angle 0 is shut, negative open."""
-    w, d, h = 0.27 * _scale(rng), 0.19 * _scale(rng), 0.165 * _scale(rng)
+    w, d, h = 0.27 * size_factor(rng), 0.19 * size_factor(rng), 0.165 * size_factor(rng)
     wall, panel, door = 0.010, 0.055, 0.014
-    body = _body("microwave")
+    body = new_body("microwave")
     add_geom(body, "box", (w / 2, d / 2, wall / 2), (0, 0, wall / 2))
     # A texture extends through a body: with one texture, the inside of a wall would look like another's outside.
     add_geom(body, "box", (w / 2, d / 2, wall / 2), (0, 0, h - wall / 2), material="microwave/top")
@@ -158,6 +166,7 @@ def microwave(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
         (-0.35, 0.35),
         (0.58, 0.22, 0.95),
         parts={"door": (0.02, 0.55, 0.85)},
+        joints={"door": (-1.75, -0.9)},
     )
     return [thing], Dimensions({"height": h, "width": w, "depth": d, "door_width": width, "door": door})
 
@@ -168,8 +177,8 @@ N_RIM = 24
 
 def lid(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
     """A saucepan with a handle, and a lid of glass with a knob."""
-    radius, height, rim, wall = 0.088 * _scale(rng), 0.075 * _scale(rng), 0.012, 0.005
-    pan = _body("saucepan")
+    radius, height, rim, wall = 0.088 * size_factor(rng), 0.075 * size_factor(rng), 0.012, 0.005
+    pan = new_body("saucepan")
     add_geom(pan, "cylinder", (radius, height / 2), (0, 0, height / 2))
     for angle in 2 * np.pi * np.arange(N_RIM) / N_RIM:
         # Boxes as wide as the ring's outer edge leave no gaps.
@@ -179,7 +188,7 @@ def lid(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
         add_geom(pan, "box", size, pos, euler=(0, 0, angle), tint=(0.8, 0.8, 0.85, 1))
     add_geom(pan, "box", (0.065, 0.011, 0.007), (radius + 0.06, 0, height - 0.012), tint=DARK)
     top = height + rim
-    cover = _body("lid")
+    cover = new_body("lid")
     SubElement(cover, "freejoint", {"name": "lid"})
     add_geom(cover, "cylinder", (radius + 0.004, 0.004), (0, 0, 0.004), tint=(1, 1, 1, 0.4), mass=0.10)
     add_geom(cover, "cylinder", (0.012, 0.006), (0, 0, 0.014), tint=DARK, mass=0.02)
@@ -204,16 +213,16 @@ def lid(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
 
 def phone(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
     """A handset, and a base with a cradle at either end."""
-    length = 0.17 * _scale(rng, 0.03)
+    length = 0.17 * size_factor(rng, 0.03)
     end = length / 2 - 0.022
-    base = _body("base")
+    base = new_body("base")
     top = 0.034
     add_geom(base, "box", (0.052, length / 2 + 0.012, top / 2), (0, 0, top / 2))
     add_geom(base, "cylinder", (0.026, 0.003), (0, 0, top + 0.003), tint=(1.0, 1.0, 0.9, 1))
     for y in (-end, end):
         for x in (-0.030, 0.030):
             add_geom(base, "box", (0.005, 0.016, 0.007), (x, y, top + 0.007), tint=DARK)
-    handset = _body("phone")
+    handset = new_body("phone")
     SubElement(handset, "freejoint", {"name": "phone"})
     add_geom(handset, "box", (0.017, length / 2, 0.009), (0, 0, 0.029), mass=0.06)
     for y in (-end, end):
@@ -227,8 +236,8 @@ def phone(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
 
 def rubbish(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
     """A bin, crumpled paper, and a tomato and a can that stay on the table."""
-    half, height, wall = 0.068 * _scale(rng), 0.13 * _scale(rng), 0.005
-    container = _body("bin")
+    half, height, wall = 0.068 * size_factor(rng), 0.13 * size_factor(rng), 0.005
+    container = new_body("bin")
     add_geom(container, "box", (half, half, wall / 2), (0, 0, wall / 2))
     tall, up = (height - wall) / 2, (height + wall) / 2
     # A texture extends through a body: with one texture, the inside of a wall would look like another's outside.
@@ -237,22 +246,22 @@ def rubbish(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
         across = sign * (half - wall / 2)
         add_geom(container, "box", (wall / 2, half, tall), (across, 0, up), material=f"bin/{side}_x")
         add_geom(container, "box", (half - wall, wall / 2, tall), (0, across, up), material=f"bin/{side}_y", tint=tint)
-    paper = _body("rubbish")
+    paper = new_body("rubbish")
     SubElement(paper, "freejoint", {"name": "rubbish"})
     for _ in range(4):
         size = rng.uniform((0.010, 0.010, 0.012), (0.021, 0.021, 0.018))
         at = (*rng.uniform(-0.007, 0.007, 2), 0.018 + float(rng.uniform(-0.003, 0.003)))
         shade = float(rng.uniform(0.8, 1.0))
         add_geom(paper, "box", size, at, euler=rng.uniform(-0.5, 0.5, 3), tint=(shade, shade, shade, 1), mass=0.008)
-    tomato = _body("tomato")
+    tomato = new_body("tomato")
     rolls_little: dict[str, Any] = {"condim": "6", "friction": (0.9, 0.01, 0.002)}
     SubElement(tomato, "freejoint", {"name": "tomato"})
-    round_ = 0.032 * _scale(rng)
+    round_ = 0.032 * size_factor(rng)
     add_geom(tomato, "ellipsoid", (round_, round_, 0.026), (0, 0, 0.026), mass=0.09, **rolls_little)
     add_geom(tomato, "cylinder", (0.004, 0.006), (0, 0, 0.055), tint=(0.3, 0.9, 0.2, 1), mass=0.001)
-    can = _body("can")
+    can = new_body("can")
     SubElement(can, "freejoint", {"name": "can"})
-    add_geom(can, "cylinder", (0.031, 0.050 * _scale(rng)), (0, 0, 0.050), mass=0.2)
+    add_geom(can, "cylinder", (0.031, 0.050 * size_factor(rng)), (0, 0, 0.050), mass=0.2)
     everywhere: dict[str, Any] = {"x": (-0.24, 0.24), "y": (-0.16, 0.18), "yaw": (-np.pi, np.pi)}
     things = [
         Thing("bin", container, False, (-0.18, 0.18), (-0.04, 0.16), (-np.pi, np.pi), (0.33, 0.60, 0.60)),
@@ -266,7 +275,7 @@ def rubbish(rng: np.random.Generator) -> tuple[list[Thing], Dimensions]:
 def clutter(rng: np.random.Generator, i: int) -> Thing:
     """A further object: a box, a can, a stepped box or a mug."""
     name = f"clutter{i + 1}"
-    body = _body(name)
+    body = new_body(name)
     SubElement(body, "freejoint", {"name": name})
     a, b, c = (float(value) for value in rng.uniform((0.020, 0.020, 0.020), (0.040, 0.040, 0.055)))
     kind = int(rng.integers(0, 4))
@@ -282,11 +291,3 @@ def clutter(rng: np.random.Generator, i: int) -> Thing:
         add_geom(body, "box", (0.014, 0.005, c * 0.6), (a + 0.010, 0, c), mass=0.02)
     hsv = (0.27 + 0.618034 * i, float(rng.uniform(0.4, 0.9)), float(rng.uniform(0.6, 0.95)))
     return Thing(name, body, True, (-0.34, 0.34), (-0.24, 0.28), (-np.pi, np.pi), hsv)
-
-
-THINGS: dict[TaskName, Callable[[np.random.Generator], tuple[list[Thing], Dimensions]]] = {
-    "microwave": microwave,
-    "lid": lid,
-    "phone": phone,
-    "rubbish": rubbish,
-}

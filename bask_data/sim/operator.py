@@ -67,7 +67,7 @@ class Operator:
         """Move the target on a straight line with smooth acceleration, `slow` times as long as usual."""
         begin = self.target
         distance = float(np.linalg.norm(to[:3, 3] - begin[:3, 3]))
-        angle = float(rotation_angle(begin[:3, :3].T @ to[:3, :3]))
+        angle = self.turn_to(to)
         seconds = max(distance / SPEED, angle / TURN_SPEED) * slow / self._pace
         turn = cv2.Rodrigues(begin[:3, :3].T @ to[:3, :3])[0]
         n_steps = max(2, round(seconds * CONTROL_RATE))
@@ -77,6 +77,10 @@ class Operator:
             waypoint[:3, :3] = begin[:3, :3] @ cv2.Rodrigues(turn * share)[0]
             waypoint[:3, 3] = (1 - share) * begin[:3, 3] + share * to[:3, 3]
             self.step(waypoint, self.width)
+
+    def turn_to(self, to: Float[ndarray, "4 4"]) -> float:
+        """Angle of the rotation from the target to another world_from_gripper, radians."""
+        return float(rotation_angle(self.target[:3, :3].T @ to[:3, :3]))
 
     def shift(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, slow: float = 1.0) -> None:
         """Move along the world's axes, metres."""

@@ -8,7 +8,7 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from bask_data.params import Params
 
-TaskName = Literal["microwave", "lid", "phone", "rubbish"]
+TaskName = Literal["microwave", "lid", "phone", "rubbish", "drawer", "mug"]
 TASKS: tuple[TaskName, ...] = get_args(TaskName)
 CameraName = Literal["wrist", "overhead"]
 CAMERAS: tuple[CameraName, ...] = get_args(CameraName)
@@ -21,7 +21,8 @@ class SimOptions(Params):
 
     task: TaskName = Field(
         ...,
-        description="microwave: close its door; lid: take it off its pan; phone: onto its base; rubbish: into a bin.",
+        description="microwave: close its door; lid: take it off its pan; phone: onto its base; rubbish: into a bin; "
+        "drawer: pull it open; mug: onto a hook.",
     )
     seed: int = Field(
         0, ge=0, description="Seed of the objects' sizes and textures, and with the recording's number of their poses."

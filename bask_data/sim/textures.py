@@ -9,6 +9,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
+Faces = UInt8[ndarray, "6 f f 3"]
+"""The faces of a cube texture: +x, -x, +y, -y, +z, -z."""
+
 FACE = 160
 """Edge of a face of an object's texture, pixels. Chosen."""
 

@@ -14,7 +14,8 @@ from numpy import ndarray
 from bask_data.errors import UsageError
 from bask_data.sim import gripper, textures
 from bask_data.sim.engine import import_mujoco
-from bask_data.sim.objects import THINGS, Thing, add_geom, clutter, numbers
+from bask_data.sim.inventory import THINGS
+from bask_data.sim.objects import Thing, add_geom, clutter, numbers
 from bask_data.sim.options import TASKS, SimOptions
 
 GAP = 0.04
@@ -217,8 +218,8 @@ class World:
             self.data.joint(thing.name).qpos[:] = [*at, *quat]
         else:
             self.model.body(thing.name).pos[:], self.model.body(thing.name).quat[:] = at, quat
-        if "door" in thing.parts:
-            self.data.joint("door").qpos[:] = rng.uniform(-1.75, -0.9)
+        for joint, positions in thing.joints.items():
+            self.data.joint(joint).qpos[:] = rng.uniform(*positions)
         mujoco.mj_kinematics(self.model, self.data)
 
     def _settle(self) -> bool:
@@ -327,15 +328,18 @@ def _paint(model: Any, things: list[Thing], seed: list[int], background_seed: in
     if background_seed is not None:
         for i, name in enumerate(("table", "floor")):
             images[name] = textures.covering(np.random.default_rng([background_seed, i]), len(images[name]))
-    colours = [(name, hsv, thing.is_symmetric) for thing in things for name, hsv in thing.labelled.items()]
+    colours = [(name, hsv, thing) for thing in things for name, hsv in thing.labelled.items()]
     materials = [material for thing in things for material in thing.materials]
-    for i, (name, (hue, saturation, value), is_symmetric) in enumerate(colours):
+    for i, (name, (hue, saturation, value), thing) in enumerate(colours):
         rng = np.random.default_rng([*seed, 5, i])
         hue += rng.uniform(-0.02, 0.02)
-        draw = textures.symmetric_faces if is_symmetric else textures.object_faces
+        draw = textures.symmetric_faces if thing.is_symmetric else textures.object_faces
         images[name] = draw(rng, hue, saturation, value)
-        for wall in (material for material in materials if material.startswith(f"{name}/")):
-            images[wall] = draw(rng, hue, saturation, value)
+        walls = [material for material in materials if material.startswith(f"{name}/")]
+        if thing.paint_walls and walls:
+            images |= zip(walls, thing.paint_walls(rng, (hue, saturation, value), len(walls)), strict=True)
+        else:
+            images |= {wall: draw(rng, hue, saturation, value) for wall in walls}
     for name, image in images.items():
         begin = int(model.tex_adr[model.texture(name).id])
         model.tex_data[begin : begin + image.size] = image.reshape(-1)

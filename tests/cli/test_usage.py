@@ -19,7 +19,10 @@ FORM = re.compile(r"error: [^:]+: (\S+: )?expected .+, got .+\.  fix: .+")
     [
         ("train", "bask-data train: ROOT: expected the dataset's directory, got none."),
         ("ingest tum . d", "bask-data ingest tum: --scene: expected name of the recording in the dataset, got none."),
-        ("ingest sim d", "bask-data ingest sim: --task: expected one of microwave, lid, phone, rubbish, got none."),
+        (
+            "ingest sim d",
+            "bask-data ingest sim: --task: expected one of microwave, lid, phone, rubbish, drawer, mug, got none.",
+        ),
         ("ingest tum no/such d --scene a", "SOURCE: expected a directory that exists, got 'no/such'.  fix: check"),
         ("train d --steps abc", "bask-data train: --steps: expected a whole number, got 'abc'."),
         ("train d --steps", "bask-data train: --steps: expected a whole number, got none."),

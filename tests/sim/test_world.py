@@ -11,7 +11,14 @@ from bask_data.sim.scan import scan
 from bask_data.sim.world import GAP, TABLE, World
 from tests.sim.worlds import views, world_of
 
-TOUCHING: dict[TaskName, list[tuple[int, int]]] = {"microwave": [(1, 2)], "lid": [(1, 2)], "phone": [], "rubbish": []}
+TOUCHING: dict[TaskName, list[tuple[int, int]]] = {
+    "microwave": [(1, 2)],
+    "lid": [(1, 2)],
+    "phone": [],
+    "rubbish": [],
+    "drawer": [(1, 2)],
+    "mug": [],
+}
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -113,11 +120,13 @@ def test_the_door_starts_open() -> None:
     assert np.ptp(angles) > 0.2
 
 
-@pytest.mark.parametrize("task", ["microwave", "rubbish"])
+@pytest.mark.parametrize("task", ["microwave", "rubbish", "drawer", "mug"])
 def test_the_walls_of_a_hollow_object_differ(task: TaskName) -> None:
     """A texture extends through a body: with one texture, the inside of a wall would show the outside of another."""
     world = World(SimOptions(task=task))
-    materials = world.things[{"microwave": "microwave", "rubbish": "bin"}[task]].materials
+    materials = world.things[
+        {"microwave": "microwave", "rubbish": "bin", "drawer": "cabinet", "mug": "mug"}[task]
+    ].materials
     pictures = [_texture(world, name) for name in materials]
     assert len(materials) >= 5
     for i, picture in enumerate(pictures):
