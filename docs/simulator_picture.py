@@ -10,12 +10,14 @@ import numpy as np
 from bask_data.drawing.colours import palette
 from bask_data.sim.experts import demonstrate
 from bask_data.sim.options import TASKS, SimOptions
-from bask_data.sim.rendering import Renderer, View
+from bask_data.sim.rendering import RenderedView, Renderer
 from bask_data.sim.scan import scan
 from bask_data.sim.world import World
 
 HERE = Path(__file__).parent
-SIZE = 200
+SIZE, SHOWN = 200, 6
+"""Edge of a picture, pixels, and the frame of the scan that is shown: all objects are seen from their front."""
+
 MOMENTS = (0.0, 0.35, 0.6, 1.0)
 """Shares of a demonstration at which it is shown."""
 
@@ -28,7 +30,7 @@ def main() -> None:
         with Renderer(world) as renderer:
             take = scan(world, np.random.default_rng(1))
             world.restore(take.layout)
-            world.show(take.qpos[1])
+            world.show(take.qpos[SHOWN])
             renderer.shows_gripper = False
             tiles = views_of(renderer.view("wrist"), len(world.labels))
             show = demonstrate(world, np.random.default_rng(1))
@@ -43,7 +45,7 @@ def main() -> None:
     cv2.imwrite(str(HERE / "simulator.jpg"), picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
 
 
-def views_of(view: View, n_labels: int) -> list[np.ndarray]:
+def views_of(view: RenderedView, n_labels: int) -> list[np.ndarray]:
     """Colour, depth and labels of a view as pictures."""
     near, far = np.quantile(view.depth[view.depth > 0], (0.01, 0.95))
     grey = np.uint8(255 * (1 - (view.depth.clip(near, far) - near) / (far - near)))
