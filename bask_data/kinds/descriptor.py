@@ -65,16 +65,17 @@ class DescriptorNet(Artifact):
         return read_json(self.path / "model.json")
 
     def network(self) -> DescriptorNetwork:
-        """The network, ready for inference.
+        """The network, folded for inference (`bask_data.nn.folding`).
 
         Raises:
             BadData: description or weights are corrupted, or of another version.
         """
+        from bask_data.nn.folding import folded
         from bask_data.nn.network import load
 
         try:
             self._check_weights()
-            return load(self.path)
+            return folded(load(self.path))
         except BadData:
             raise
         except Exception as error:  # torch and safetensors raise their own exceptions for corrupted files.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
+from copy import copy
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -57,6 +58,7 @@ class DescriptorNetwork(nn.Module):
         self.settings = replace(settings, mean=settings.mean or backbone.mean, std=settings.std or backbone.std)
         self.encoder = backbone.build(settings.descriptor_dim, state or {})
         self._frozen = backbone.frozen
+        self.is_folded = False
         if backbone.frozen:
             self.encoder.requires_grad_(False)
             self.encoder.get_submodule("head").requires_grad_(True)
@@ -101,6 +103,19 @@ class DescriptorNetwork(nn.Module):
         width = max(round(height * size[1] / size[0] / STRIDE), 1) * STRIDE
         return height, width
 
+    def at_scale(self, scale: float) -> DescriptorNetwork:
+        """The same network, with the same weights in memory, for images resized to `scale` times its height.
+
+        Raises:
+            ValueError: the scale is not above 0 and at most 1.
+        """
+        if not 0 < scale <= 1:
+            raise ValueError(f"scale: expected above 0 and at most 1, got {scale:g}")
+        scaled = copy(self)
+        height = max(round(scale * self.settings.height / STRIDE), 1) * STRIDE
+        scaled.settings = replace(self.settings, height=height)
+        return scaled
+
     @torch.inference_mode()
     def cells(self, rgb: UInt8[ndarray, "*b h w 3"]) -> Float[Tensor, "*b d h8 w8"]:
         """Descriptors at stride 8 of the resized image: the output of `describe` before up-sampling."""
@@ -144,7 +159,14 @@ class DescriptorNetwork(nn.Module):
         return distances if cells.ndim == 4 else distances[0]
 
     def save(self, folder: Path) -> None:
-        """Write `weights.safetensors` and `model.json`."""
+        """Write `weights.safetensors` and `model.json`.
+
+        Raises:
+            ValueError: it is a network for inference, without batch normalisation of its own.
+        """
+        if self.is_folded:
+            expected = "a network with its batch normalisation, from `bask_data.nn.network.load` or `create`"
+            raise ValueError(f"network: expected {expected}, got one for inference.  fix: copy the folder it is from.")
         state = {name: value.detach().cpu().contiguous() for name, value in self.encoder.state_dict().items()}
         # `save_file` would create a file that only its owner may read.
         (folder / "weights.safetensors").write_bytes(save(state))
