@@ -10,21 +10,22 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from bask_data.artifact import MANIFEST
 from bask_data.core.filters.belief_arrays import from_arrays, to_arrays
-from bask_data.core.filters.observation import Motion, Observation, PixelMaps, WeightedPoints, fitted
+from bask_data.core.filters.observation import Estimate, Motion, Observation, PixelMaps, WeightedPoints
 from bask_data.core.filters.step import step
 from bask_data.core.filters.table import DEFAULT, FilterSettings, filter_of, settings_named
-from bask_data.core.geometry import rigid_fault, scale_pixels
+from bask_data.core.geometry import in_image, scale_pixels
 from bask_data.errors import BadData
-from bask_data.kinds import Camera, DescriptorNet, ReferenceKeypoints
+from bask_data.kinds import DescriptorNet, ReferenceKeypoints
+from bask_data.observing import FrameObservations, FrameObserver, Moment, check_moment, transform_fault
 
 Kind = TypeVar("Kind", DescriptorNet, ReferenceKeypoints)
 
@@ -32,9 +33,7 @@ if TYPE_CHECKING:
     import torch
 
     from bask_data.nn.network import DescriptorNetwork
-
-    Described = list[tuple[list[str], torch.Tensor]]
-    """Descriptors at stride 8 of the images of one size, and the names of their cameras."""
+    from bask_data.observing import Described
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,8 @@ class TrackedKeypoints:
         log_evidence: (k,) log of the evidence of this frame under the belief before it.
         pixel: by camera, (k, 2) projected means, which may be outside the image; NaN behind the camera, and for a
             camera without a frame.
-        observed: by camera, (k,), whether it more likely than not sees the keypoint.
+        observed: by camera, (k,), whether it more likely than not sees the keypoint. In a frame that did not go
+            through the network (`every`): whether it did in the last one that went, if it is still inside the image.
     """
 
     names: tuple[str, ...]
@@ -60,39 +60,6 @@ class TrackedKeypoints:
     log_evidence: np.ndarray
     pixel: dict[str, np.ndarray]
     observed: dict[str, np.ndarray]
-
-
-class Moment(NamedTuple):
-    """Images, depths, intrinsics and poses of one time by camera: the arguments of `KeypointTracker.step`."""
-
-    images: dict[str, np.ndarray]
-    depths: dict[str, np.ndarray]
-    intrinsics: dict[str, np.ndarray]
-    world_from_cameras: dict[str, np.ndarray]
-
-
-def moment_of(cameras: Iterable[Camera], i_frame: int) -> Moment:
-    """A frame of recorded cameras, as the arguments of `KeypointTracker.look` and `step`."""
-    cameras = list(cameras)
-    return Moment(
-        images={camera.name: camera.rgb(i_frame) for camera in cameras},
-        depths={camera.name: camera.depth(i_frame) for camera in cameras},
-        intrinsics={camera.name: camera.K for camera in cameras},
-        world_from_cameras={camera.name: camera.world_from_cameras[i_frame] for camera in cameras},
-    )
-
-
-@dataclass(frozen=True)
-class FrameObservations:
-    """Observations of the keypoints in one frame.
-
-    Args:
-        observations: by camera.
-        sizes: by camera, (height, width) of its image, pixels.
-    """
-
-    observations: dict[str, Observation]
-    sizes: dict[str, tuple[int, int]]
 
 
 class KeypointTracker:
@@ -106,6 +73,8 @@ class KeypointTracker:
         seed: int = 0,
         device: torch.device | str | None = None,
         cameras: Sequence[str] | None = None,
+        every: int = 1,
+        scale: float = 1.0,
     ) -> None:
         """Load the network.
 
@@ -117,10 +86,15 @@ class KeypointTracker:
             seed: seed of the filter's random numbers.
             device: device of the network. Default: the GPU if there is one.
             cameras: names in the filter's order. Default: in the order of their first frames, then by name.
+            every: only every so many-th frame of a camera goes through the network; between them, the belief follows
+                the filter's motion model and the gripper. Cameras take turns.
+            scale: height of the network's input, as a share of the one it was trained for; a half is a quarter of the
+                arithmetic. Positions stay sub-pixel ones of the whole image.
 
         Raises:
             BadData: a path holds no such artifact, the network does not load, or its descriptors have another
                 dimension than the references.
+            ValueError: `every` is below 1, or `scale` is not above 0 and at most 1.
         """
         if isinstance(descriptor, str | Path):
             descriptor = _existing(DescriptorNet, descriptor)
@@ -128,8 +102,7 @@ class KeypointTracker:
             reference = _existing(ReferenceKeypoints, reference)
         network = descriptor.network() if isinstance(descriptor, DescriptorNet) else descriptor
         self.names = tuple(reference.names)
-        self._network = network if device is None else network.to(device)
-        self._references = _fitting(reference, self._network)
+        self._observer = FrameObserver(network if device is None else network.to(device), reference, every, scale)
         self._settings, self._seed, self._given = settings or settings_named(DEFAULT), seed, tuple(cameras or ())
         self.reset()
 
@@ -142,6 +115,7 @@ class KeypointTracker:
         self._rng = np.random.default_rng(self._seed)
         self._world_from_gripper: np.ndarray | None = None
         self._sizes: dict[str, tuple[int, int]] = {}
+        self._observed: dict[str, np.ndarray] = {}
         self.n_steps = 0
         """Number of steps."""
         self.cameras = list(self._given)
@@ -149,7 +123,7 @@ class KeypointTracker:
         self.belief: Any = None
         """The filter's belief; None before the first step."""
         self.observations: dict[str, Observation] = {}
-        """Observations of the last step, by camera."""
+        """Observations of the last step, by camera; none by a camera whose frame did not go through the network."""
 
     def step(
         self,
@@ -174,13 +148,13 @@ class KeypointTracker:
         """
         return self.update(self.look(images, depths, intrinsics, world_from_cameras), world_from_gripper)
 
-    def describe(self, images: Mapping[str, np.ndarray]) -> Described:
-        """Descriptors of the images, which take nearly all of a step's time; images of one size form a batch."""
-        _check_dicts(images=images)
-        by_size: dict[tuple[int, ...], list[str]] = {}
-        for name in sorted(images):
-            by_size.setdefault(images[name].shape, []).append(name)
-        return [(names, self._network.cells(np.stack([images[name] for name in names]))) for names in by_size.values()]
+    def describe(self, images: Mapping[str, np.ndarray], i_step: int | None = None) -> Described:
+        """Descriptors of the images, which take nearly all of a step's time.
+
+        Args:
+            i_step: number of steps before this one, which decides whose turn it is with `every`. Default: `n_steps`.
+        """
+        return self._observer.describe(images, self.cameras, self.n_steps if i_step is None else i_step)
 
     def look(
         self,
@@ -195,29 +169,9 @@ class KeypointTracker:
         Args:
             described: result of `describe` for these images, if already computed.
         """
-        _check_dicts(images=images, depths=depths, intrinsics=intrinsics, world_from_cameras=world_from_cameras)
-        # Copies, as a robot may reuse its arrays, and a belief refers to the previous frame.
-        K = {name: np.array(intrinsics[name], dtype=np.float64) for name in images if name in intrinsics}
-        poses = {
-            name: np.array(world_from_cameras[name], dtype=np.float64) for name in images if name in world_from_cameras
-        }
-        for name, image in images.items():
-            _check(name, image, depths.get(name), K.get(name), poses.get(name))
-        distances = self._distances(self.describe(images) if described is None else described)
-        return FrameObservations(
-            observations={
-                name: fitted(
-                    Observation(
-                        distance=distances[name],
-                        depth=np.where(np.isfinite(depths[name]), depths[name], 0),
-                        K=K[name],
-                        world_from_camera=poses[name],
-                    )
-                )
-                for name in sorted(images)
-            },
-            sizes={name: (image.shape[0], image.shape[1]) for name, image in images.items()},
-        )
+        moment = Moment(images, depths, intrinsics, world_from_cameras)
+        check_moment(moment)
+        return self._observer.look(moment, self.describe(images) if described is None else described)
 
     def update(self, look: FrameObservations, world_from_gripper: np.ndarray | None = None) -> TrackedKeypoints:
         """The second half of a step: update of the belief, without the network.
@@ -226,23 +180,20 @@ class KeypointTracker:
             ValueError: the gripper's transform is not rigid, or the size of a camera's images has changed.
         """
         gripper = None if world_from_gripper is None else np.array(world_from_gripper, dtype=np.float64)
-        fault = "" if gripper is None else _fault(gripper)
+        fault = "" if gripper is None else transform_fault(gripper)
         if fault:
             raise ValueError(f"world_from_gripper: expected a rigid transform (4, 4), got {fault}")
         for name, size in look.sizes.items():
             if self._sizes.setdefault(name, size) != size:
                 raise ValueError(f"camera {name}: image: expected {self._sizes[name]} as before, got {size}")
-        self.cameras += [name for name in sorted(look.observations) if name not in self.cameras]
+        self.cameras += [name for name in sorted(look.sizes) if name not in self.cameras]
         self.observations = look.observations
         self.n_steps += 1
         seen = [look.observations.get(name) for name in self.cameras]
         self.belief, estimate = step(
             self.belief, seen, self._moved(gripper), self._rng, self._settings, len(self.names)
         )
-        pixel = {
-            name: scale_pixels(estimate.pixel[i], view.depth.shape, look.sizes[name]) if view else estimate.pixel[i]
-            for i, (name, view) in enumerate(zip(self.cameras, seen, strict=True))
-        }
+        pixel, observed = self._in_cameras(estimate, look)
         return TrackedKeypoints(
             names=self.names,
             mean=estimate.mean,
@@ -251,8 +202,23 @@ class KeypointTracker:
             n_eff=estimate.n_eff,
             log_evidence=estimate.log_evidence,
             pixel=pixel,
-            observed={name: estimate.observed[i] for i, name in enumerate(self.cameras)},
+            observed=observed,
         )
+
+    def _in_cameras(
+        self, estimate: Estimate, look: FrameObservations
+    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """`pixel` and `observed` of `TrackedKeypoints`."""
+        pixel, observed = {}, {}
+        for i, name in enumerate(self.cameras):
+            pixel[name], observed[name] = estimate.pixel[i], estimate.observed[i]
+            if name in look.between:
+                pixel[name] = look.between[name].pixels(estimate.mean)
+                observed[name] = self._observed.get(name, observed[name]) & in_image(pixel[name], *look.sizes[name])
+            elif name in look.observations:
+                pixel[name] = scale_pixels(pixel[name], look.observations[name].depth.shape, look.sizes[name])
+                self._observed[name] = observed[name]
+        return pixel, observed
 
     def hypotheses(self) -> WeightedPoints | PixelMaps:
         """The whole belief after the last step, as particles or pixel maps, these in the order of `cameras`."""
@@ -268,7 +234,12 @@ class KeypointTracker:
         arrays = to_arrays(self.belief)
         if self._world_from_gripper is not None:
             arrays["gripper"] = self._world_from_gripper
-        words = {"n_steps": self.n_steps, "cameras": self.cameras, "rng": self._rng.bit_generator.state}
+        words = {
+            "n_steps": self.n_steps,
+            "cameras": self.cameras,
+            "rng": self._rng.bit_generator.state,
+            "observed": {name: observed.tolist() for name, observed in self._observed.items()},
+        }
         part = file.with_name(f"{file.name}.part")
         whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         try:
@@ -294,6 +265,7 @@ class KeypointTracker:
             self.belief = from_arrays(arrays, self._settings)
             self._rng.bit_generator.state = words["rng"]
             self.n_steps, self.cameras = int(words["n_steps"]), list(words["cameras"])
+            self._observed = {name: np.array(observed) for name, observed in words.get("observed", {}).items()}
         except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
             got, fix = f"{type(error).__name__}: {error}", "delete it, and start with a new tracker."
             raise BadData(file, "", expected="a tracker's state", got=got, fix=fix) from error
@@ -307,13 +279,6 @@ class KeypointTracker:
             return None
         self._world_from_gripper = world_from_gripper
         return None if before is None else Motion(before, world_from_gripper)
-
-    def _distances(self, described: Described) -> dict[str, np.ndarray]:
-        """Distance maps (k, h', w') by camera."""
-        distances: dict[str, np.ndarray] = {}
-        for names, cells in described:
-            distances |= dict(zip(names, self._network.maps(cells, self._references), strict=True))
-        return distances
 
 
 def _existing(kind: type[Kind], path: Path | str) -> Kind:
@@ -337,54 +302,3 @@ def _existing(kind: type[Kind], path: Path | str) -> Kind:
     else:
         fix = f"pass ROOT/{kind.kind}/VARIANT; `bask-data info ROOT` lists what a dataset has."
     raise BadData(place, "", expected=f"an artifact of kind {kind.kind!r}", got=got, fix=fix)
-
-
-def _check_dicts(**arguments: object) -> None:
-    """Raise `ValueError` for arguments that are not by camera name."""
-    for name, value in arguments.items():
-        if not isinstance(value, Mapping):
-            got = f"an array {value.shape}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
-            raise ValueError(f"{name}: expected a dict by camera name, got {got}")
-
-
-def _fitting(reference: ReferenceKeypoints, network: DescriptorNetwork) -> np.ndarray:
-    """Reference descriptors (k, d); `BadData` if the network's have another dimension."""
-    descriptors, dimension = reference.descriptors, network.settings.descriptor_dim
-    if descriptors.shape[1] != dimension:
-        raise BadData(
-            reference.path,
-            "descriptors",
-            expected=f"{dimension} values each, as from the network",
-            got=f"{descriptors.shape[1]}",
-            fix="run `bask-data reference` again with this network.",
-        )
-    return descriptors
-
-
-def _check(
-    name: str,
-    image: np.ndarray,
-    depth: np.ndarray | None,
-    K: np.ndarray | None,
-    world_from_camera: np.ndarray | None,
-) -> None:
-    """Raise `ValueError` for inputs that would silently corrupt the belief."""
-    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
-        raise ValueError(f"camera {name}: image: expected (h, w, 3) uint8, got {image.shape} {image.dtype}")
-    if depth is None or depth.shape != image.shape[:2] or not np.issubdtype(depth.dtype, np.floating):
-        got = "none" if depth is None else f"{depth.shape} {depth.dtype}"
-        raise ValueError(f"camera {name}: depth: expected {image.shape[:2]} in metres, as for the image, got {got}")
-    if K is None or K.shape != (3, 3):
-        raise ValueError(f"camera {name}: intrinsics: expected (3, 3), got {'none' if K is None else K.shape}")
-    if not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
-        raise ValueError(
-            f"camera {name}: intrinsics: expected finite numbers and positive focal lengths, got {K.tolist()}"
-        )
-    fault = "none" if world_from_camera is None else _fault(world_from_camera)
-    if fault:
-        raise ValueError(f"camera {name}: world_from_camera: expected a rigid transform (4, 4), got {fault}")
-
-
-def _fault(transform: np.ndarray) -> str:
-    """Why a transform is not rigid; empty if it is."""
-    return rigid_fault(transform) if transform.shape == (4, 4) else f"{transform.shape}"

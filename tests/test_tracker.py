@@ -12,8 +12,9 @@ from bask_data.core.filters.particle.settings import ParticleSettings
 from bask_data.core.filters.table import FilterSettings, settings_named
 from bask_data.errors import BadData
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Robot
+from bask_data.observing import FrameObservations, moment_of
 from bask_data.stages.encode import EncodeParams, dropped, encode
-from bask_data.tracker import FrameObservations, KeypointTracker, TrackedKeypoints, moment_of
+from bask_data.tracker import KeypointTracker, TrackedKeypoints
 from tests.tracked import N_FRAMES, ColourNetwork, dataset_of, keypoints, poses, side_poses
 
 FILTERS = ("expectation", "discrete", "particle")
@@ -80,6 +81,7 @@ def is_the_track(track: KeypointTrack, i_frame: int, found: TrackedKeypoints) ->
 # As encode ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("every", [1, 2])
 @pytest.mark.parametrize("filter", FILTERS)
 def test_a_tracker_agrees_exactly_with_encode(
     tmp_path: Path,
@@ -87,13 +89,14 @@ def test_a_tracker_agrees_exactly_with_encode(
     demonstration: Demonstration,
     reference: ReferenceKeypoints,
     filter: str,
+    every: int,
 ) -> None:
     monkeypatch.setattr(DescriptorNet, "network", lambda self: ColourNetwork())
-    params = EncodeParams(filter=filter, n_particles=200, seed=SEED, dropout=DROPOUT)
+    params = EncodeParams(filter=filter, n_particles=200, seed=SEED, dropout=DROPOUT, every=every)
     encode(demonstration, DescriptorNet(tmp_path), reference, truths=[], params=params, out=tmp_path)
     track = KeypointTrack(tmp_path)
     names = demonstration.camera_names
-    tracker = KeypointTracker(ColourNetwork(), reference, settings_of(filter), seed=SEED, cameras=names)
+    tracker = KeypointTracker(ColourNetwork(), reference, settings_of(filter), seed=SEED, cameras=names, every=every)
     missing = dropped(N_FRAMES, len(names), DROPOUT, SEED)
     assert missing[0].any() and missing.all(axis=1).any() and not missing.all()
     for i_frame in range(N_FRAMES):

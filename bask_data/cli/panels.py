@@ -75,6 +75,7 @@ PANELS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "Observation": ("alpha", "tau", "tau_match", "dropout", "source"),
         "Motion": ("walk", "walk_px", "gripper_probability", "gripper_reach"),
         "Belief": ("n_particles", "grid"),
+        "Speed": ("every", "scale"),
     },
     "frames": {
         EVERYDAY: ("camera", "color", "depth", "pose", "intrinsics", "fps"),

@@ -11,9 +11,10 @@ from bask_data.dataset import Dataset
 from bask_data.evaluation.tracked_points import true_tracks, whole
 from bask_data.kinds import Camera, Demonstration, Pick, ReferenceKeypoints, Truth
 from bask_data.kinds.places import true_pixels
+from bask_data.observing import moment_of
 from bask_data.progress import progress
 from bask_data.stages.encode import cameras_of, grippers_of
-from bask_data.tracker import KeypointTracker, TrackedKeypoints, moment_of
+from bask_data.tracker import KeypointTracker, TrackedKeypoints
 
 if TYPE_CHECKING:
     import numpy as np

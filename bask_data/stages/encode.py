@@ -5,13 +5,13 @@ from __future__ import annotations
 import shutil
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import fields
 from itertools import compress
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pydantic import Field, field_validator
 
@@ -21,12 +21,14 @@ from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Camera, Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Truth
 from bask_data.progress import note
 from bask_data.spelling import number_of
+from bask_data.stages.true_track import write_truth
 
 if TYPE_CHECKING:
     import numpy as np
 
     from bask_data.kinds.keypoints import KeypointsWriter
-    from bask_data.tracker import Described, KeypointTracker, Moment, TrackedKeypoints
+    from bask_data.observing import Described, Moment
+    from bask_data.tracker import KeypointTracker, TrackedKeypoints
 
     FilterName = str
 else:
@@ -44,6 +46,10 @@ MOST_CELLS = 4096
 AHEAD = 2
 """Frames that are read ahead of the network, and described ahead of the filter: enough to keep all threads busy, few
 enough for images of any size. Chosen, sensitivity not measured."""
+
+
+def _is_none(value: object) -> bool:
+    return value is None
 
 
 class EncodeParams(Params):
@@ -119,6 +125,20 @@ class EncodeParams(Params):
         description="Probability that a camera's frame is ignored, to test how robust tracks are to missing frames.",
     )
     seed: int = Field(0, ge=0, description="Seed of the particle filter and of the dropout.")
+    every: int | None = Field(
+        None,
+        ge=1,
+        exclude_if=_is_none,
+        description="Only every so many-th frame of a camera goes through the network, which takes most of the time; "
+        "between them the belief follows the gripper. Cameras take turns. Default: every frame.",
+    )
+    scale: float | None = Field(
+        None,
+        gt=0,
+        le=1,
+        exclude_if=_is_none,
+        description="Height of the network's input, as a share of the one it was trained for. Default: 1.",
+    )
 
     @field_validator("grid")
     @classmethod
@@ -126,6 +146,11 @@ class EncodeParams(Params):
         if grid and (len(grid) != 2 or min(grid) < 1 or max(grid) > MOST_CELLS):
             raise ValueError(f"rows and columns, 1 to {MOST_CELLS} of each")
         return grid
+
+    @property
+    def savings(self) -> dict[str, Any]:
+        """Arguments of `KeypointTracker` that save time."""
+        return {"every": self.every or 1, "scale": self.scale or 1.0}
 
     def reads(self, kind: str) -> tuple[str, ...] | None:
         """Ground truth only if it is the source."""
@@ -149,7 +174,8 @@ def encode(
     try:
         cameras = cameras_of(demonstration, params.cameras)
         if params.source == "truth":
-            _write_truth(demonstration, cameras, reference, {truth.path.name: truth for truth in truths}, out)
+            _clear(out)
+            write_truth(demonstration, cameras, reference, {truth.path.name: truth for truth in truths}, out)
         else:
             _track(demonstration, cameras, descriptor, reference, params, out)
     except BaseException:
@@ -219,9 +245,6 @@ def dropped(n_frames: int, n_cameras: int, dropout: float, seed: int) -> np.ndar
     return np.random.default_rng((seed, 1)).random((n_frames, n_cameras)) < dropout
 
 
-# By the network -------------------------------------------------------------------------------------------------------
-
-
 def _track(
     demonstration: Demonstration,
     cameras: list[Camera],
@@ -235,7 +258,7 @@ def _track(
 
     names, n_frames = [camera.name for camera in cameras], cameras[0].n_frames
     grippers = grippers_of(demonstration, n_frames)
-    tracker = KeypointTracker(descriptor, reference, settings_of(params), params.seed, cameras=names)
+    tracker = KeypointTracker(descriptor, reference, settings_of(params), params.seed, cameras=names, **params.savings)
     begin = _resumed(tracker, out)
     shown = ~dropped(n_frames, len(cameras), params.dropout, params.seed)
     begun = time.monotonic()
@@ -299,14 +322,14 @@ def _described(
     tracker: KeypointTracker, cameras: list[Camera], shown: np.ndarray, begin: int
 ) -> Generator[tuple[Moment, Described], None, None]:
     """Images and descriptors of each frame from `begin` on, of the cameras that are not ignored."""
-    from bask_data.tracker import moment_of
+    from bask_data.observing import moment_of
 
     def read(i_frame: int) -> Moment:
         return moment_of(compress(cameras, shown[i_frame]), i_frame)
 
     with closing(_beside(read, range(begin, len(shown)))) as moments:
-        for moment in moments:
-            yield moment, tracker.describe(moment.images)
+        for i_frame, moment in enumerate(moments, begin):
+            yield moment, tracker.describe(moment.images, i_frame)
 
 
 def _beside(function: Callable[[A], B], items: Iterable[A]) -> Generator[B, None, None]:
@@ -329,44 +352,3 @@ def _beside(function: Callable[[A], B], items: Iterable[A]) -> Generator[B, None
                 yield waiting.popleft().result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
-
-
-# By truth -------------------------------------------------------------------------------------------------------------
-
-
-def _write_truth(
-    demonstration: Demonstration,
-    cameras: list[Camera],
-    reference: ReferenceKeypoints,
-    truths: Mapping[str, Truth],
-    out: Path,
-) -> None:
-    """Write the true positions of the keypoints as a track."""
-    import numpy as np
-
-    from bask_data.kinds.places import Known, true_pixels, true_places
-
-    name = demonstration.path.name
-    if name not in truths:
-        fix = "--source network, or --only demonstrations with truth."
-        raise BadData(demonstration.path, "truth", expected="objects' transforms", got="none", fix=fix)
-    recordings = {one: Known(None, truth) for one, truth in truths.items()}
-    places = true_places(reference.picks, {**recordings, name: Known(demonstration, truths[name])}, name)
-    if np.isnan(places).all():
-        expected = f"a keypoint on an object whose transform is known in {name}"
-        raise BadData(reference.path, "picks", expected=expected, got="none", fix="see `bask-data reference --help`.")
-    names, k = [camera.name for camera in cameras], places.shape[1]
-    _clear(out)
-    with KeypointTrack.writer(out, names=reference.names, filter="truth", cameras=names) as writer:
-        for i_frame in progress(range(cameras[0].n_frames), "writing keypoints"):
-            points = places[i_frame]
-            seen = {camera.name: true_pixels(points, camera, truths[name], i_frame) for camera in cameras}
-            known = np.isfinite(points).all(axis=1)
-            writer.append(
-                mean=points,
-                covariance=np.where(known[:, None, None], 0.0, np.full((k, 3, 3), np.nan)),
-                mode=points,
-                n_eff=known.astype(np.float64),
-                log_evidence=np.zeros(k),
-                cameras={one: (found.uv, found.inside & ~found.hidden) for one, found in seen.items()},
-            )

@@ -18,9 +18,10 @@ from bask_data.drawing.colours import palette
 from bask_data.drawing.pictures import heat_picture
 from bask_data.evaluation.lookup import find, input_variant
 from bask_data.kinds import Camera, Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints
+from bask_data.observing import moment_of
 from bask_data.progress import progress
 from bask_data.stages.encode import EncodeParams, cameras_of, dropped, grippers_of, settings_of
-from bask_data.tracker import KeypointTracker, moment_of
+from bask_data.tracker import KeypointTracker
 from bask_data.view.choice import Choice
 from bask_data.view.sheet import CORNER, DrawnItem, Sheet, jpeg, reading
 
@@ -69,7 +70,10 @@ def _tracker(dataset: Dataset, track: KeypointTrack, variant: str) -> tuple[Keyp
     reference = input_variant(dataset, track, ReferenceKeypoints, variant)
     if params.source == "truth" or descriptor is None or reference is None:
         return None, params
-    return KeypointTracker(descriptor, reference, settings_of(params), params.seed, cameras=track.camera_names), params
+    tracker = KeypointTracker(
+        descriptor, reference, settings_of(params), params.seed, cameras=track.camera_names, **params.savings
+    )
+    return tracker, params
 
 
 def _draw(sheet: Sheet, drawn: DrawnItem, tracker: KeypointTracker, cameras: Sequence[Camera], i_frame: int) -> None:

@@ -25,6 +25,7 @@ PACKAGES = {
     "notebook": "What `bask_data.open` returns.",
     "torch": "PyTorch datasets: frames and matches.",
     "tracker": "Keypoints on a running robot.",
+    "observing": "The half of the tracker that needs the network.",
     "pipeline": "The whole pipeline: run it, ask for its status.",
     "engine": "Stages, their state, and running them.",
     "sources": "What brings recordings into a dataset.",

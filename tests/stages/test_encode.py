@@ -19,8 +19,9 @@ from bask_data.dataset import Dataset
 from bask_data.engine import make, plan, state_of
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Robot, Truth, arrays
 from bask_data.kinds.truth import TruthMetadata
+from bask_data.observing import FrameObservations
 from bask_data.stages.encode import EncodeParams, _beside, encode, settings_of
-from bask_data.tracker import FrameObservations, KeypointTracker, TrackedKeypoints
+from bask_data.tracker import KeypointTracker, TrackedKeypoints
 from tests.datasets import publish_artifact
 from tests.threads import no_garbage_collector, threads_named
 from tests.tracked import (
@@ -170,7 +171,7 @@ def test_what_a_track_depends_on_is_never_served_stale(tmp_path: Path) -> None:
         "tau_match": 0.2,
     }
     others |= {"n_particles": 100, "walk": 0.1, "walk_px": 2.0, "gripper_probability": 0.1, "gripper_reach": 1.0}
-    others |= {"dropout": 0.1, "seed": 5, "grid": (4, 4)}
+    others |= {"dropout": 0.1, "seed": 5, "grid": (4, 4), "every": 2, "scale": 0.5}
     assert {*others, "source"} == {*EncodeParams.model_fields}
     for name, value in others.items():
         assert state(**{name: value})[1].startswith(f"changed: {name} "), name

@@ -14,8 +14,9 @@ from pydantic import Field
 from bask_data.core.filters.table import FILTERS, FilterEntry, alpha_of_one_frame, filter_of, settings_named
 from bask_data.evaluation.keypoint_study import methods_of
 from bask_data.kinds import Demonstration, KeypointTrack, ReferenceKeypoints
+from bask_data.observing import moment_of
 from bask_data.stages.encode import EncodeParams, settings_of
-from bask_data.tracker import KeypointTracker, moment_of
+from bask_data.tracker import KeypointTracker
 from tests.core.filters.toy import ToyBelief, ToySettings
 from tests.tracked import ColourNetwork, dataset_of, keypoints, poses
 
