@@ -562,6 +562,36 @@ def test_systematic_resampling_differs_from_a_share_by_less_than_one() -> None:
     assert (np.abs(drawn - 50 * weight) < 1).all()
 
 
+def test_a_share_of_one_resamples_in_every_frame() -> None:
+    weight = np.random.default_rng(0).uniform(0.9, 1.1, 50)
+    belief = replace(cloud([0.0, 0, 1], 0.05, 50), weight=(weight / weight.sum())[None])
+    _, estimate = particle_step(belief, [], None, np.random.default_rng(0), PURE)
+    assert estimate.n_eff[0] > 49
+    always, seldom = (
+        refresh(belief, estimate, [], [], np.random.default_rng(1), replace(PURE, resample_below=below))
+        for below in (1.0, 0.9)
+    )
+    np.testing.assert_array_equal(always.weight, 1 / 50)
+    np.testing.assert_array_equal(seldom.weight, belief.weight)
+
+
+@pytest.mark.parametrize(("sharpness", "alpha"), [(None, 8.0), (16.0, 64.0)])
+def test_redrawn_particles_come_from_heat_maps_of_their_own_sharpness(sharpness: float | None, alpha: float) -> None:
+    seen = wall(np.eye(4), [[0.03, 0.01, 1.0]])
+    settings = ParticleSettings(
+        alpha=4.0, draw_sharpness=2.0, redraw_sharpness=sharpness, redraw_share=0.5, draw_block=1, n_lookalikes=0
+    )
+    away = cloud([5.0, 5.0, 1.0], 0.01, 10_000)
+    _, estimate = particle_step(away, [], None, np.random.default_rng(0), PURE)
+    fresh = refresh(away, estimate, [], [seen], np.random.default_rng(1), settings)
+    new = np.abs(fresh.points_world[0, :, 0]) < 2
+    assert new.sum() == 5000
+    heat = np.exp(-alpha * seen.distance[0].astype(np.float64))
+    uv = np.rint(_pixels(fresh.points_world[0, new], seen)).astype(int).clip(0, [WIDTH - 1, HEIGHT - 1])
+    hot = heat > 0.5
+    np.testing.assert_allclose(hot[uv[:, 1], uv[:, 0]].mean(), heat[hot].sum() / heat.sum(), atol=0.03)
+
+
 def test_a_long_run_of_any_kind_of_frames_leaves_every_number_finite() -> None:
     rng, belief = np.random.default_rng(0), None
     for i in range(150):

@@ -91,9 +91,10 @@ def test_time_without_frames_only_makes_the_belief_wider(settings: FilterSetting
 def test_the_paper_and_its_code_differ_where_they_do() -> None:
     paper, code, own = (settings_named("particle", name) for name in ("paper", "code", "default"))
     assert (paper.occlusion_margin, code.occlusion_margin) == (0.05, 0.10)
-    assert replace(paper, occlusion_margin=0.10, hidden_without_depth=1.0) == code
+    resampled = {"resample_below": 1.0, "resampling": "systematic", "redraw_sharpness": 64.0}
+    assert replace(paper, occlusion_margin=0.10, hidden_without_depth=1.0, **resampled) == code
     assert (code.n_particles, code.gripper_probability, code.alpha) == (250, 0.25, 4.0)
-    assert (code.resampling, code.resample_below) == ("stratified", 0.1)
+    assert (paper.resampling, paper.resample_below, paper.redraw_sharpness) == ("stratified", 0.1, None)
     assert (code.depth_noise, code.depth_noise_floor) == (0.02, 0.001)
     assert math.isclose(code.tau, 0.25 * math.exp(-4))
     assert own == ParticleSettings()

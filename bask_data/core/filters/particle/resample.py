@@ -47,8 +47,10 @@ def refresh(
     if not n_new or not usable:
         return belief
     parts = [len(part) for part in np.array_split(np.arange(n_new), len(usable))]
+    sharpness = settings.draw_sharpness if settings.redraw_sharpness is None else settings.redraw_sharpness
+    drawing = replace(settings, draw_sharpness=sharpness)
     drawn = [
-        draw(seen, n_here, rng, settings, settings.draw_block)
+        draw(seen, n_here, rng, drawing, settings.draw_block)
         for seen, n_here in zip(usable, parts, strict=True)
         if n_here
     ]
