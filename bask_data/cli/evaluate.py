@@ -21,6 +21,7 @@ from bask_data.cli.evaluate_options import (
     Scenes,
     Seed,
     SoughtKeypoints,
+    Stride,
     Sweep,
     TrackedKeypoints,
     Trackers,
@@ -136,6 +137,7 @@ def keypoints(
     keypoints: TrackedKeypoints = 16,
     settings: FilterSettings = "default",
     seed: Seed = 0,
+    stride: Stride = 1,
     pictures: Pictures = None,
     json_: Json = False,
 ) -> None:
@@ -163,6 +165,7 @@ def keypoints(
                 n_keypoints=keypoints,
                 filters=settings,
                 seed=seed,
+                stride=stride,
             ),
         )
     files = [save_study(dataset, found), *(write_pictures(dataset, found, pictures) if pictures else [])]

@@ -83,6 +83,15 @@ Alpha = Annotated[
     typer.Option(min=0, help="Temperature of the heat maps whose calibration is measured.", rich_help_panel=HOW),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Random seed.", rich_help_panel=HOW)]
+Stride = Annotated[
+    int,
+    typer.Option(
+        min=1,
+        help="Track in every N-th frame only, as with a slower camera; saves time.",
+        metavar="N",
+        rich_help_panel=HOW,
+    ),
+]
 FilterSettings = Annotated[
     Literal["default", "paper", "code"],
     typer.Option(

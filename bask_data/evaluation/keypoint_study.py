@@ -20,7 +20,7 @@ from bask_data.evaluation.held_out import check_variants
 from bask_data.evaluation.places import known_of
 from bask_data.evaluation.study_comparisons import comparisons
 from bask_data.evaluation.study_figures import group_figures
-from bask_data.evaluation.study_tracks import Tracked, methods_of, references_of, tracked_in
+from bask_data.evaluation.study_tracks import Tracked, TrackingRun, methods_of, references_of, tracked_in
 from bask_data.evaluation.tracked_points import by_objects, demonstrations_with_truth, points_to_track
 from bask_data.kinds import Demonstration, DescriptorNet, Truth
 from bask_data.kinds.places import points_on_objects
@@ -47,6 +47,7 @@ class StudySettings:
         n_keypoints: number of these points, shared among the objects; the paper tracks 16.
         filters: preset of the filters' settings.
         seed: for the points and the particle filter.
+        stride: every so many-th frame is tracked, by all methods alike, as by a slower camera.
     """
 
     demonstrations: Sequence[str] = ()
@@ -57,6 +58,7 @@ class StudySettings:
     n_keypoints: int = 16
     filters: SettingsName = "default"
     seed: int = 0
+    stride: int = 1
 
 
 def evaluated_keypoints(
@@ -76,6 +78,7 @@ def evaluated_keypoints(
     networks = {name: DescriptorNet(dataset.path(DescriptorNet, variant=name)).network() for name in variants}
     units = {name: _unit(dataset, name, network) for name, network in networks.items()}
     methods = methods_of(units, settings.filters)
+    run = TrackingRun(settings.cameras, settings.seed, settings.stride)
     groups = by_objects(dataset, demonstrations_with_truth(dataset, settings.demonstrations), settings.objects)
     figures: dict[str, Any] = {}
     all_tracks: list[Tracked] = []
@@ -93,10 +96,7 @@ def evaluated_keypoints(
             references = {
                 name: references_of(dataset, network, picks, Path(folder) / name) for name, network in networks.items()
             }
-            tracks = [
-                tracked_in(dataset, name, settings.cameras, picks, networks, references, methods, settings.seed)
-                for name in names
-            ]
+            tracks = [tracked_in(dataset, name, picks, networks, references, methods, run) for name in names]
         on = points_on_objects(picks, known_of(dataset, picks)).names
         figures["+".join(tracked_objects)] = {
             **group_figures(picks, on, tracks, methods),
@@ -106,6 +106,7 @@ def evaluated_keypoints(
     return {
         "settings": settings.filters,
         "seed": settings.seed,
+        "stride": settings.stride,
         "methods": [
             {
                 "name": method.name,

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from bask_data.evaluation.certainty import certainty_figures
 from bask_data.evaluation.study_tracks import Method, Tracked
 from bask_data.kinds import Pick
 
@@ -99,7 +98,6 @@ def _method_figures(
             track.name: plain_errors([of_track], [is_known])
             for track, of_track, is_known in zip(tracks, error, known_places, strict=True)
         },
-        "certainty": certainty_figures(name, tracks, of_frames),
         "over_time": {
             f"{what}_{figure}": _plain(getattr(curve, figure))
             for what, curve in along.items()
@@ -130,7 +128,7 @@ def _examples(objects: Sequence[str], tracks: Sequence[Tracked], methods: Sequen
                 "camera": track.cameras[0],
                 "object": name,
                 "keypoint": i,
-                "frames": frames.tolist(),
+                "frames": [track.frames[t] for t in frames],
                 "truth": [_plain(track.uv[0, t, i]) for t in frames],
                 "visible": [bool(track.seen.visible[t, i]) for t in frames],
                 "first_map": {variant: [_plain(row) for row in maps[i]] for variant, maps in track.first_maps.items()},

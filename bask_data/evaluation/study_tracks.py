@@ -72,17 +72,28 @@ def methods_of(units: Mapping[str, float], settings: SettingsName) -> list[Metho
     return methods
 
 
-@dataclass
-class Tracked:
-    """A demonstration tracked by all methods.
+@dataclass(frozen=True)
+class TrackingRun:
+    """How a demonstration is run through: with which cameras (all if empty) and random numbers, and in which frames.
 
     Attributes:
+        stride: every so many-th frame is tracked, by all methods alike.
+    """
+
+    cameras: Sequence[str] = ()
+    seed: int = 0
+    stride: int = 1
+
+
+@dataclass
+class Tracked:
+    """A demonstration tracked by all methods, in t of its frames.
+
+    Attributes:
+        frames: (t,) their numbers.
         places: (t, k, 3) ground-truth positions, metres, world frame; NaN where unknown.
         uv: (c, t, k, 2) pixels of these; NaN behind the camera.
-        shown: (c, t, k) whether each camera shows them.
         mean, mode: by method (t, k, 3), metres, world frame.
-        covariance: by method (t, k, 3, 3), square metres.
-        observed: by method (t, c, k), whether the camera sees the keypoint by the belief.
         pixel: by method (t, c, k, 2) of the mean.
         counts: by variant and group of pixels, their histogram of descriptor distances.
         first_maps: by variant, the first camera's distance maps of the first frame (k, h, w), coarse.
@@ -90,14 +101,12 @@ class Tracked:
 
     name: str
     cameras: list[str]
+    frames: list[int]
     places: np.ndarray
     seen: Sighting
     uv: np.ndarray
-    shown: np.ndarray
     mean: dict[str, np.ndarray] = field(default_factory=dict)
     mode: dict[str, np.ndarray] = field(default_factory=dict)
-    covariance: dict[str, np.ndarray] = field(default_factory=dict)
-    observed: dict[str, np.ndarray] = field(default_factory=dict)
     pixel: dict[str, np.ndarray] = field(default_factory=dict)
     counts: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
     first_maps: dict[str, np.ndarray] = field(default_factory=dict)
@@ -123,12 +132,11 @@ def references_of(
 def tracked_in(
     dataset: Dataset,
     name: str,
-    asked: Sequence[str],
     picks: Sequence[Pick],
     networks: Mapping[str, DescriptorNetwork],
     references: Mapping[str, ReferenceKeypoints],
     methods: Sequence[Method],
-    seed: int,
+    run: TrackingRun,
 ) -> Tracked:
     """One pass over a demonstration's frames, each described once by each network and tracked as `encode` does."""
     import numpy as np
@@ -137,28 +145,28 @@ def tracked_in(
     assert source is not None, "only demonstrations with ground truth are tracked"
     demonstration = source.recording
     assert isinstance(demonstration, Demonstration), "scans are not tracked"
-    cameras = cameras_of(demonstration, tuple(asked))
-    tracked = _with_truth(dataset, name, cameras, picks, source.truth)
+    cameras = cameras_of(demonstration, tuple(run.cameras))
+    tracked = _with_truth(dataset, name, cameras, picks, run.stride)
     trackers = {
         method.name: KeypointTracker(
             networks[method.variant],
             references[method.variant],
             method.settings,
-            seed,
+            run.seed,
             cameras=tracked.cameras,
         )
         for method in methods
     }
     grippers, keypoints_by = (
-        grippers_of(demonstration, len(tracked.places)),
+        grippers_of(demonstration, cameras[0].n_frames),
         {name: list[TrackedKeypoints]() for name in trackers},
     )
-    for i_frame in progress(range(len(tracked.places)), f"tracking in {name}"):
+    for t, i_frame in enumerate(progress(tracked.frames, f"tracking in {name}")):
         moment = moment_of(cameras, i_frame)
         for variant in networks:
             mine = [method.name for method in methods if method.variant == variant]
             look = trackers[mine[0]].look(*moment)
-            _count(tracked, variant, source.truth, look.observations[cameras[0].name].distance, i_frame)
+            _count(tracked, variant, source.truth, look.observations[cameras[0].name].distance, t)
             for method in mine:
                 keypoints_by[method].append(
                     trackers[method].update(look, None if grippers is None else grippers[i_frame])
@@ -166,29 +174,30 @@ def tracked_in(
     for method, keypoints in keypoints_by.items():
         tracked.mean[method] = np.stack([of_frame.mean for of_frame in keypoints])
         tracked.mode[method] = np.stack([of_frame.mode for of_frame in keypoints])
-        tracked.covariance[method] = np.stack([of_frame.covariance for of_frame in keypoints])
-        tracked.observed[method] = np.stack([np.stack([*of_frame.observed.values()]) for of_frame in keypoints])
         tracked.pixel[method] = np.stack([np.stack([*of_frame.pixel.values()]) for of_frame in keypoints])
     return tracked
 
 
-def _with_truth(dataset: Dataset, name: str, cameras: Sequence[Camera], picks: Sequence[Pick], truth: Truth) -> Tracked:
+def _with_truth(dataset: Dataset, name: str, cameras: Sequence[Camera], picks: Sequence[Pick], stride: int) -> Tracked:
     """A demonstration before tracking, with ground truth and visibility of the points."""
     import numpy as np
 
     from bask_data.core.keypoint_scores import sighting
 
-    places = true_tracks(dataset, picks, name)
+    source = whole(dataset, name)
+    assert source is not None, "only demonstrations with ground truth are tracked"
+    all_places = true_tracks(dataset, picks, name)
+    frames = [*range(0, len(all_places), stride)]
+    places = all_places[frames]
     pixels = [
-        [true_pixels(point, camera, truth, i) for i, point in enumerate(places[: camera.n_frames])]
+        [true_pixels(point, camera, source.truth, i) for i, point in zip(frames, places, strict=True)]
         for camera in cameras
     ]
     inside, hidden = (
         np.array([[getattr(frame, what) for frame in frames] for frames in pixels]) for what in ("inside", "hidden")
     )
     uv = np.array([[frame.uv for frame in frames] for frames in pixels])
-    seen = sighting(inside, hidden, places)
-    return Tracked(name, [camera.name for camera in cameras], places, seen, uv, inside & ~hidden)
+    return Tracked(name, [camera.name for camera in cameras], frames, places, sighting(inside, hidden, places), uv)
 
 
 def _coarse(maps: np.ndarray) -> np.ndarray:
@@ -203,7 +212,7 @@ def _coarse(maps: np.ndarray) -> np.ndarray:
     return np.stack([cv2.resize(map_, size, interpolation=cv2.INTER_AREA) for map_ in maps])
 
 
-def _count(tracked: Tracked, variant: str, truth: Truth, distance: np.ndarray, i_frame: int) -> None:
+def _count(tracked: Tracked, variant: str, truth: Truth, distance: np.ndarray, t: int) -> None:
     """Add the first camera's distance maps (k, h, w) of visible keypoints to the histograms of pixels near the
     keypoint, elsewhere on objects, and on background; keep the first frame's maps."""
     import numpy as np
@@ -212,13 +221,13 @@ def _count(tracked: Tracked, variant: str, truth: Truth, distance: np.ndarray, i
     from bask_data.core.keypoint_scores import z_counts, z_edges
     from bask_data.kinds.truth import ROBOT
 
-    if i_frame == 0:
+    if t == 0:
         tracked.first_maps[variant] = _coarse(distance)
-    if i_frame % HISTOGRAM_EVERY:
+    if t % HISTOGRAM_EVERY:
         return
-    labels = truth.instance(tracked.cameras[0], i_frame)
-    uv = scale_pixels(tracked.uv[0, i_frame], labels.shape, distance.shape[1:])
-    shown = np.flatnonzero(tracked.seen.visible[i_frame] & np.isfinite(uv).all(axis=1))
+    labels = truth.instance(tracked.cameras[0], tracked.frames[t])
+    uv = scale_pixels(tracked.uv[0, t], labels.shape, distance.shape[1:])
+    shown = np.flatnonzero(tracked.seen.visible[t] & np.isfinite(uv).all(axis=1))
     height, width = distance.shape[1:]
     away = np.linalg.norm(pixel_grid(height, width)[None] - uv[shown, None, None], axis=3)
     near = away <= NEAR_SHARE * np.hypot(height, width)

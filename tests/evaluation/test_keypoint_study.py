@@ -275,6 +275,22 @@ def test_the_same_study_has_the_same_figures_and_another_seed_other_points(studi
     assert points_to_track(studied, ["tin"], 3, "", 0) != points_to_track(studied, ["tin"], 3, "", 1)
 
 
+def test_with_a_stride_every_method_sees_every_nth_frame_only(studied: Dataset) -> None:
+    settings = StudySettings(demonstrations=["demo-a"], n_keypoints=6, stride=3)
+    found = evaluated_keypoints(studied, settings=settings)["groups"]["carton+tin"]
+    assert found["demonstrations"]["demo-a"]["n_frames"] == len(range(0, N, 3))
+    methods = found["methods"]
+    assert all(method["error"]["all"]["n"] == 6 * len(range(0, N, 3)) for method in methods.values())
+    # The tin moves by 8 mm between these frames: compared with the truth of another one, its pixel would be off.
+    tin = found["examples"][1]
+    assert tin["frames"] == [*range(0, N, 3)]
+    shown = np.flatnonzero(tin["visible"])
+    pixel, truth = (
+        np.array(values, dtype=float)[shown] for values in (tin["pixel"]["main: expectation"], tin["truth"])
+    )
+    np.testing.assert_allclose(pixel, truth, atol=2.0)
+
+
 def test_reference_keypoints_of_the_dataset_can_be_tracked(studied: Dataset) -> None:
     picks = points_to_track(studied, ["carton", "tin"], 4, "", 0)
 
@@ -392,8 +408,6 @@ def test_the_command_prints_and_saves_the_study(studied: Dataset, tmp_path: Path
     assert [Path(file).exists() for file in told["files"]] == [True] * 3
     assert json.loads((studied.root / FILE).read_text())["groups"] == told["groups"]
     particle = told["groups"]["tin"]["methods"]["main: particle"]["error"]["all"]["mean"]
-    line, of_certainty = [line for line in keypoint_tables(told) if line.startswith("    main: particle")]
-    certainty = told["groups"]["tin"]["methods"]["main: particle"]["certainty"]
-    assert of_certainty.split()[5] == f"{100 * certainty['coverage']['all']['calibration_error']:.1f}"
+    [line] = [line for line in keypoint_tables(told) if line.startswith("    main: particle")]
     assert line.split()[2] == f"{1000 * particle:.0f}"
     assert f"next: bask-data report {studied.root}" in answer.stderr
