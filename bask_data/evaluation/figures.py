@@ -108,9 +108,10 @@ def _studied(dataset: Dataset) -> list[str]:
 
 
 def _study_figures(dataset: Dataset, name: str) -> dict[str, Any]:
-    """By method: errors, and distances between mean and mode, by visibility."""
+    """By method: errors, and distances between mean and mode, by visibility; and the certainty."""
     methods = read_json(dataset.root / FILE)["groups"][name]["methods"]
-    return {method: {what: figures[what] for what in ("error", "apart")} for method, figures in methods.items()}
+    kept = ("error", "apart", "certainty")
+    return {method: {what: figures[what] for what in kept if what in figures} for method, figures in methods.items()}
 
 
 def _each(names: Sequence[str], figures: Any) -> dict[str, Any]:

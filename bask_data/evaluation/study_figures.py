@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from bask_data.evaluation.certainty import certainty_figures
 from bask_data.evaluation.study_tracks import Method, Tracked
 from bask_data.kinds import Pick
 
@@ -98,6 +99,7 @@ def _method_figures(
             track.name: plain_errors([of_track], [is_known])
             for track, of_track, is_known in zip(tracks, error, known_places, strict=True)
         },
+        "certainty": certainty_figures(name, tracks, of_frames),
         "over_time": {
             f"{what}_{figure}": _plain(getattr(curve, figure))
             for what, curve in along.items()

@@ -93,7 +93,10 @@ class Tracked:
         frames: (t,) their numbers.
         places: (t, k, 3) ground-truth positions, metres, world frame; NaN where unknown.
         uv: (c, t, k, 2) pixels of these; NaN behind the camera.
+        shown: (c, t, k) whether each camera shows them.
         mean, mode: by method (t, k, 3), metres, world frame.
+        covariance: by method (t, k, 3, 3), square metres.
+        observed: by method (t, c, k), whether the camera sees the keypoint by the belief.
         pixel: by method (t, c, k, 2) of the mean.
         counts: by variant and group of pixels, their histogram of descriptor distances.
         first_maps: by variant, the first camera's distance maps of the first frame (k, h, w), coarse.
@@ -105,8 +108,11 @@ class Tracked:
     places: np.ndarray
     seen: Sighting
     uv: np.ndarray
+    shown: np.ndarray
     mean: dict[str, np.ndarray] = field(default_factory=dict)
     mode: dict[str, np.ndarray] = field(default_factory=dict)
+    covariance: dict[str, np.ndarray] = field(default_factory=dict)
+    observed: dict[str, np.ndarray] = field(default_factory=dict)
     pixel: dict[str, np.ndarray] = field(default_factory=dict)
     counts: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
     first_maps: dict[str, np.ndarray] = field(default_factory=dict)
@@ -174,6 +180,8 @@ def tracked_in(
     for method, keypoints in keypoints_by.items():
         tracked.mean[method] = np.stack([of_frame.mean for of_frame in keypoints])
         tracked.mode[method] = np.stack([of_frame.mode for of_frame in keypoints])
+        tracked.covariance[method] = np.stack([of_frame.covariance for of_frame in keypoints])
+        tracked.observed[method] = np.stack([np.stack([*of_frame.observed.values()]) for of_frame in keypoints])
         tracked.pixel[method] = np.stack([np.stack([*of_frame.pixel.values()]) for of_frame in keypoints])
     return tracked
 
@@ -197,7 +205,8 @@ def _with_truth(dataset: Dataset, name: str, cameras: Sequence[Camera], picks: S
         np.array([[getattr(frame, what) for frame in frames] for frames in pixels]) for what in ("inside", "hidden")
     )
     uv = np.array([[frame.uv for frame in frames] for frames in pixels])
-    return Tracked(name, [camera.name for camera in cameras], frames, places, sighting(inside, hidden, places), uv)
+    seen = sighting(inside, hidden, places)
+    return Tracked(name, [camera.name for camera in cameras], frames, places, seen, uv, inside & ~hidden)
 
 
 def _coarse(maps: np.ndarray) -> np.ndarray:

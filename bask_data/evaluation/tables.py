@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from bask_data.evaluation.certainty import certainty_lines
 from bask_data.evaluation.study_comparisons import comparison_lines
 from bask_data.spelling import number_of
 
@@ -127,6 +128,7 @@ def keypoint_tables(result: dict[str, Any]) -> Iterator[str]:
         counted = next(iter(methods.values()))["error"]
         yield f"    {'frames x keypoints':<34}" + "".join(f"{counted[phase]['n']:>13}" for phase in phases)
         yield from comparison_lines(group["comparisons"])
+        yield from certainty_lines(methods)
     if len(result["groups"]) > 1:
         yield "all objects"
         yield from comparison_lines(result["comparisons"])

@@ -11,6 +11,7 @@ from bask_data.artifact import read_json
 from bask_data.drawing.plots import Curve, line_plot, numbers
 from bask_data.errors import BadData
 from bask_data.evaluation.keypoint_study import FILE, is_current
+from bask_data.report.certainty import certainty
 from bask_data.report.chosen import Chosen, Part
 from bask_data.report.study_style import COLOURS, LABELS, method_colours, remeasured
 
@@ -58,6 +59,7 @@ def _study_part(result: Mapping[str, Any], name: str, colours: Mapping[str, str]
             *(_study_plot(group, what, colours) for what in ("error", "apart")),
             _share_plot(group),
         ],
+        "certainty": certainty(group, colours),
     }
 
 

@@ -408,6 +408,8 @@ def test_the_command_prints_and_saves_the_study(studied: Dataset, tmp_path: Path
     assert [Path(file).exists() for file in told["files"]] == [True] * 3
     assert json.loads((studied.root / FILE).read_text())["groups"] == told["groups"]
     particle = told["groups"]["tin"]["methods"]["main: particle"]["error"]["all"]["mean"]
-    [line] = [line for line in keypoint_tables(told) if line.startswith("    main: particle")]
+    line, of_certainty = [line for line in keypoint_tables(told) if line.startswith("    main: particle")]
+    certainty = told["groups"]["tin"]["methods"]["main: particle"]["certainty"]
+    assert of_certainty.split()[5] == f"{100 * certainty['coverage']['all']['calibration_error']:.1f}"
     assert line.split()[2] == f"{1000 * particle:.0f}"
     assert f"next: bask-data report {studied.root}" in answer.stderr
