@@ -11,7 +11,7 @@ from torch import nn
 from bask_data.core.filters.table import settings_named
 from bask_data.kinds import Demonstration, Pick, ReferenceKeypoints, Robot
 from bask_data.nn.network import DescriptorNetwork, NetworkSettings
-from bask_data.observing import FrameObserver, View, moment_of
+from bask_data.observing import FrameObservations, FrameObserver, View, moment_of
 from bask_data.tracker import KeypointTracker, TrackedKeypoints
 from tests.tracked import N_FRAMES, ColourNetwork, dataset_of, keypoints, poses, side_poses
 
@@ -74,6 +74,19 @@ def test_between_described_frames_the_belief_moves_with_the_gripper(
     moved = means[1:] - means[:-1]
     np.testing.assert_allclose(moved[:, 0], np.tile(STEP, (4, 1)), atol=5e-4)
     np.testing.assert_allclose(moved[:, 1:], 0.0, atol=5e-4)
+
+
+def test_a_described_frame_counts_twice(demonstration: Demonstration, reference: ReferenceKeypoints) -> None:
+    plain, often, twice = (
+        KeypointTracker(ColourNetwork(), reference, settings_named("particle", walk=1e-4), every=every)
+        for every in (1, 2, 2)
+    )
+    once = step(plain, demonstration, 0, "side")
+    found = step(often, demonstration, 0, "side")
+    assert (found.n_eff < once.n_eff).all()
+    np.testing.assert_array_equal(found.log_evidence, once.log_evidence)
+    none = twice.update(FrameObservations({}, {}))
+    assert np.isnan(none.mean).all() and twice.belief is None
 
 
 @pytest.mark.parametrize("filter", ["expectation", "discrete", "particle"])
