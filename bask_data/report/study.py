@@ -55,6 +55,8 @@ def _study_part(result: Mapping[str, Any], name: str, colours: Mapping[str, str]
             }
             for method, figures in methods.items()
         ],
+        # Studies from before they were compared have none.
+        "verdicts": [pair["verdict"] for pair in group.get("comparisons", [])],
         "plots": [
             *(_study_plot(group, what, colours) for what in ("error", "apart")),
             _share_plot(group),

@@ -23,7 +23,7 @@ def tracked(name: str, offsets: dict[str, float], out_of_view: float = 0.0) -> T
     inside = np.ones((1, N, 2), dtype=bool)
     inside[0, OUT] = False
     seen = sighting(inside, np.zeros_like(inside), places)
-    track = Tracked(name, ["wrist"], [*range(N)], places, seen, np.zeros((1, N, 2, 2)), inside)
+    track = Tracked(name, ["wrist"], [*range(N)], places, seen, np.zeros((1, N, 2, 2)), shown=inside)
     for method, offset in offsets.items():
         track.mean[method] = places + np.array([offset, 0.0, 0.0])
         if method == "base: expectation":

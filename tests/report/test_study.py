@@ -90,6 +90,16 @@ def test_a_script_gets_the_same_figures(empty: Dataset) -> None:
     assert "study" not in summarise(empty)
 
 
+def test_what_may_be_claimed_of_the_methods_is_listed(empty: Dataset, tmp_path: Path) -> None:
+    result = found({})
+    keep(empty, result)
+    assert "resampled demonstrations" not in write_report(empty, tmp_path / "r.html").read_text()
+    result["groups"]["lid"]["comparisons"] = [{"verdict": "ours: particle < base: expectation by 9.0 mm"}]
+    keep(empty, result)
+    text = write_report(empty, tmp_path / "r.html").read_text()
+    assert "<li>ours: particle &lt; base: expectation by 9.0 mm</li>" in text
+
+
 def test_a_study_of_changed_inputs_is_marked_stale(empty: Dataset, tmp_path: Path) -> None:
     keep(empty, found({"descriptor/main": "0123"}))
     assert sections_of(empty)[0]["is_stale"]
