@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -86,8 +86,8 @@ class KeypointTracker:
             seed: seed of the filter's random numbers.
             device: device of the network. Default: the GPU if there is one.
             cameras: names in the filter's order. Default: in the order of their first frames, then by name.
-            every: only every so many-th frame of a camera goes through the network; between them, the belief follows
-                the filter's motion model and the gripper. Cameras take turns.
+            every: only every so many-th frame of a camera goes through the network, and counts twice; between them, the
+                belief follows the filter's motion model and the gripper. Cameras take turns.
             scale: height of the network's input, as a share of the one it was trained for; a half is a quarter of the
                 arithmetic. Positions stay sub-pixel ones of the whole image.
 
@@ -102,6 +102,7 @@ class KeypointTracker:
             reference = _existing(ReferenceKeypoints, reference)
         network = descriptor.network() if isinstance(descriptor, DescriptorNet) else descriptor
         self.names = tuple(reference.names)
+        self._every = every
         self._observer = FrameObserver(network if device is None else network.to(device), reference, every, scale)
         self._settings, self._seed, self._given = settings or settings_named(DEFAULT), seed, tuple(cameras or ())
         self.reset()
@@ -193,6 +194,10 @@ class KeypointTracker:
         self.belief, estimate = step(
             self.belief, seen, self._moved(gripper), self._rng, self._settings, len(self.names)
         )
+        if self._every > 1 and look.observations:
+            # It stands for the frames between, too. Twice, not n times: it is one view with one error.
+            self.belief, again = step(self.belief, seen, None, self._rng, self._settings, len(self.names))
+            estimate = replace(again, log_evidence=estimate.log_evidence)
         pixel, observed = self._in_cameras(estimate, look)
         return TrackedKeypoints(
             names=self.names,
