@@ -22,8 +22,8 @@ from bask_data.core.filters.particle.settings import ParticleSettings
 
 HEIGHT, WIDTH = 40, 60
 K = np.array([[60.0, 0, 29.5], [0, 60.0, 19.5], [0, 0, 1]])
-PURE = ParticleSettings(alpha=4.0, redraw_share=0.0, resample_below=0.0, tau=0.1)
-"""The bare Bayes filter: no restarts, no resampling."""
+PURE = ParticleSettings(alpha=4.0, redraw_share=0.0, resample_below=0.0, tau=0.1, residual_sigma=0.0)
+"""The bare Bayes filter: no restarts, no resampling, the covariance of the posterior."""
 
 
 def camera_at(x: float = 0.0, y: float = 0.0, z: float = 0.0, turn: float = 0.0) -> np.ndarray:
@@ -375,7 +375,7 @@ def test_particles_near_the_gripper_take_part_in_its_rotation_and_far_ones_do_no
 
 def test_an_object_carried_by_the_gripper_is_followed_out_of_sight() -> None:
     rng, belief = np.random.default_rng(0), None
-    settings = ParticleSettings(gripper_probability=0.9, gripper_memory=0.0)
+    settings = ParticleSettings(gripper_probability=0.9, gripper_memory=0.0, residual_sigma=0.0)
     away = camera_at(turn=2.0)
     for _ in range(20):
         belief, _ = particle_step(belief, [wall(np.eye(4), [[0.0, 0.05, 1.0]])], None, rng, settings)

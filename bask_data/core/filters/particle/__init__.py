@@ -14,6 +14,7 @@ from numpy.random import Generator
 
 from bask_data.core.filters.observation import Estimate, Motion, Observation, WeightedPoints, n_keypoints, nothing_known
 from bask_data.core.filters.particle.belief import ParticleBelief, normalised
+from bask_data.core.filters.particle.certainty import with_certainty
 from bask_data.core.filters.particle.draw import first_particles
 from bask_data.core.filters.particle.estimate import estimate_of
 from bask_data.core.filters.particle.likelihood import frame_likelihood
@@ -34,7 +35,8 @@ def particle_step(
 ) -> tuple[ParticleBelief | None, Estimate]:
     """Belief and estimate after one more frame. Without a belief, particles are drawn from the heat maps.
 
-    The estimate is that of the weighted particles, before resampling adds noise. Until a camera measures depth, there
+    The estimate is that of the weighted particles, before resampling adds noise; its covariance is that of
+    `with_certainty`, which no later frame depends on. Until a camera measures depth, there
     is nothing to draw from: the belief stays None and the estimate NaN. A camera without a frame is no evidence;
     without any frame, particles only move.
 
@@ -57,7 +59,8 @@ def particle_step(
         weight, log_evidence = normalised(log_weight)
         belief = replace(belief, weight=weight)
     estimate = estimate_of(belief, likelihoods, observations, log_evidence, settings.mode_radius)
-    return refresh(belief, estimate, likelihoods, given, rng, settings), estimate
+    belief, reported = with_certainty(belief, estimate, likelihoods, given, settings)
+    return refresh(belief, estimate, likelihoods, given, rng, settings), reported
 
 
 def weighted_particles(

@@ -23,6 +23,10 @@ class ParticleBelief:
     """exp(-alpha z) of each."""
     usual_match: Float[ndarray, "k"]
     """Running average of p_d p_c of the track while it is seen; 0 where it never was."""
+    slope: Float[ndarray, "k"]
+    """Running average of the slope of `Residuals`, per metre; NaN before the first."""
+    displacement: Float[ndarray, "k"]
+    """Running average of the distance, metres, that explains the residual of the mean; NaN before the first."""
 
 
 def new_belief(
@@ -32,7 +36,10 @@ def new_belief(
     k = len(points_world)
     nowhere = np.full((k, n_lookalikes, 3), np.nan)
     held = np.zeros(weight.shape, dtype=bool)
-    return ParticleBelief(points_world, weight, held, nowhere, np.zeros((k, n_lookalikes)), np.zeros(k))
+    unknown = np.full(k, np.nan)
+    return ParticleBelief(
+        points_world, weight, held, nowhere, np.zeros((k, n_lookalikes)), np.zeros(k), unknown, unknown
+    )
 
 
 def normalised(log_weight: Float[ndarray, "k n"]) -> tuple[Float[ndarray, "k n"], Float[ndarray, "k"]]:
