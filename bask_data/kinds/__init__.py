@@ -11,7 +11,7 @@ from bask_data.kinds.keypoints import KeypointTrack
 from bask_data.kinds.masks import VisibleMasks
 from bask_data.kinds.objects import InstanceRow, ObjectInstances
 from bask_data.kinds.reconstruction import Reconstruction
-from bask_data.kinds.reference import Pick, ReferenceKeypoints
+from bask_data.kinds.reference import Pick, Recognition, ReferenceKeypoints
 from bask_data.kinds.truth import Truth
 
 KINDS: tuple[type[Artifact], ...] = (
@@ -39,6 +39,7 @@ __all__ = [
     "ObjectInstances",
     "PairRow",
     "Pick",
+    "Recognition",
     "Reconstruction",
     "Recording",
     "ReferenceKeypoints",

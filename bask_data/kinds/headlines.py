@@ -86,7 +86,18 @@ def _validation(metrics: dict[str, float]) -> list[str]:
 
 
 def _references(documents: Sequence[Any]) -> str:
-    return ", ".join(_counted(len(metadata.picks), "keypoint") for metadata in documents)
+    return ", ".join(_reference(metadata.picks) for metadata in documents)
+
+
+def _reference(picks: Sequence[Any]) -> str:
+    """The number of keypoints, the median of the errors to expect of them, and how many are ambiguous."""
+    known = [pick.recognition for pick in picks if pick.recognition is not None]
+    words = [_counted(len(picks), "keypoint")]
+    if known:
+        words.append(f"expected error {1000 * median(each.error for each in known):.0f} mm (median)")
+    if n_ambiguous := sum(each.is_ambiguous for each in known):
+        words.append(f"{n_ambiguous} ambiguous")
+    return "; ".join(words)
 
 
 def _tracks(documents: Sequence[Any]) -> str:

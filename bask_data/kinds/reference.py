@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +15,25 @@ if TYPE_CHECKING:
     import numpy as np
 
 
+class Recognition(Metadata):
+    """How well a network recognises a keypoint, frame by frame, measured before any demonstration is encoded.
+
+    Args:
+        error: expected error, metres: mean distance of a frame's best match from the keypoint's place.
+        share_found: share of the frames whose best match is within 2 cm of it.
+        n_frames: frames that show the place.
+        scans: scans of these frames: other scans than that of the pick if the object is recognised in any.
+        is_ambiguous: at least half of the frames have places 4 cm or more apart that match equally well, as on a
+            symmetric object.
+    """
+
+    error: float
+    share_found: float
+    n_frames: int
+    scans: tuple[str, ...]
+    is_ambiguous: bool
+
+
 class Pick(Metadata):
     """Where a keypoint was picked.
 
@@ -22,6 +42,7 @@ class Pick(Metadata):
         u, v: pixel of the recording's image; integers are pixel centres.
         instance: instance in the scene's masks; 0 if unknown.
         point_world: metres, world frame of that recording; None without depth.
+        recognition: how well it is recognised; None: not measured.
     """
 
     name: str
@@ -32,6 +53,7 @@ class Pick(Metadata):
     v: float
     instance: int = 0
     point_world: tuple[float, float, float] | None = None
+    recognition: Recognition | None = None
 
 
 class ReferenceMetadata(Metadata):
@@ -69,8 +91,37 @@ class ReferenceKeypoints(Artifact):
         """Names of the keypoints."""
         return [pick.name for pick in self.picks]
 
+    def summary(self) -> list[str]:
+        """Expected errors, and the ambiguous keypoints, as lines of text."""
+        return recognition_lines(self.picks)
+
     @staticmethod
     def write(out: Path, *, descriptors: np.ndarray, picks: list[Pick]) -> None:
         """Write descriptors (k, d) and their k picks."""
         group = start(out, ReferenceKeypoints, {"picks": [pick.model_dump() for pick in picks]})
         write_array(group, ReferenceKeypoints, "descriptors", descriptors)
+
+
+def ambiguous(picks: Sequence[Pick]) -> list[str]:
+    """Names of the keypoints that are ambiguous."""
+    return [pick.name for pick in picks if pick.recognition is not None and pick.recognition.is_ambiguous]
+
+
+def recognition_lines(picks: Sequence[Pick]) -> list[str]:
+    """How well keypoints are recognised, for people: the expected error of each, then those that are ambiguous."""
+    lines = [f"{pick.name}: {_in_words(pick.recognition)}" for pick in picks]
+    if unsure := ambiguous(picks):
+        lines.append(
+            f"ambiguous, as several places look the same: {', '.join(unsure)}.  fix: pick others with --pick, or "
+            "expect a track that jumps between these places."
+        )
+    return lines
+
+
+def _in_words(known: Recognition | None) -> str:
+    if known is None:
+        return "expected error not measured, as no other frame of a scan shows it"
+    return (
+        f"expected error {1000 * known.error:.0f} mm, found within 20 mm in {known.share_found:.0%} of "
+        f"{known.n_frames} frames of {', '.join(known.scans)}{'; ambiguous' if known.is_ambiguous else ''}"
+    )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 from numpy.random import Generator
 
@@ -26,12 +26,17 @@ Chosen; sensitivity not measured."""
 
 @dataclass(frozen=True)
 class SelectionView:
-    """A frame in which candidates are searched; `descriptors` may be coarser than `depth`, both span the same image."""
+    """A frame in which candidates are searched; `descriptors` may be coarser than `depth`, both span the same image.
+
+    Args:
+        instance: visible instance at each pixel, 0 = none; None: unknown.
+    """
 
     descriptors: Float[torch.Tensor, "d hd wd"]
     depth: Float[ndarray, "h w"]
     K: Float[ndarray, "3 3"]
     world_from_camera: Float[ndarray, "4 4"]
+    instance: UInt8[ndarray, "h w"] | None = None
 
 
 def inner_pixels(

@@ -14,7 +14,8 @@ from bask_data.config import section_written
 from bask_data.dataset import Dataset, Variant
 from bask_data.engine import Outcome, Task, make
 from bask_data.errors import BadData, BaskError, UsageError
-from bask_data.kinds import Demonstration, DescriptorNet, Pick, Recording, Scan, VisibleMasks
+from bask_data.kinds import Demonstration, DescriptorNet, Pick, Recording, ReferenceKeypoints, Scan, VisibleMasks
+from bask_data.kinds.reference import ambiguous
 from bask_data.picker.desk import Desk
 from bask_data.picker.draft import Draft, KeypointMark
 from bask_data.picker.gallery import Gallery
@@ -99,7 +100,9 @@ def _desk(picking: Picking, task: Task, file: Path, say: Callable[[str], None]) 
 
     def save(marks: Sequence[KeypointMark]) -> tuple[str, str]:
         picking.outcomes[:] = [_saved(picking, [as_text(Pick(**mark.model_dump())) for mark in marks])]
-        return f"{len(marks)} keypoints saved as {task.target.relative_to(dataset.root)}", picking.following
+        unsure = ambiguous(ReferenceKeypoints(task.target).picks)
+        note = f" (ambiguous: {', '.join(unsure)})" if unsure else ""
+        return f"{len(marks)} keypoints saved as {task.target.relative_to(dataset.root)}{note}", picking.following
 
     gallery = Gallery(recordings, network)
     draft = Draft(file, _given(params, recordings))

@@ -14,6 +14,7 @@ from bask_data.evaluation.lookup import find, spread_frames
 from bask_data.evaluation.reference_points import frame_of
 from bask_data.evaluation.track_figures import TOLERANCE_PX, TrackScores, figures_of_track
 from bask_data.kinds import Pick, ReferenceKeypoints
+from bask_data.kinds.reference import ambiguous
 from bask_data.report.chosen import N_CAMERAS, N_ROWS, PICTURE, Chosen, Part, per_item, untitled_if_alone
 
 
@@ -43,6 +44,7 @@ def reference(chosen: Chosen) -> list[Part]:
             "tiles": tiles,
             "n_frames_left_out": max(len(by_frame) - len(unseen) - len(tiles), 0),
             "unseen": unseen,
+            "ambiguous": ambiguous(references.picks),
             "rows": [
                 {"number": i + 1, "colour": css(colours[i]), **pick.model_dump()}
                 for i, pick in enumerate(references.picks[: 2 * N_ROWS])

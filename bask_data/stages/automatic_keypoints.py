@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Camera, Pick, Scan, VisibleMasks
 from bask_data.progress import Steps
+from bask_data.stages.keypoint_quality import N_FRAMES, Pool, in_own_scan, search, view_of
 
 if TYPE_CHECKING:
     import numpy as np
     import torch
 
     from bask_data.nn.network import DescriptorNetwork
-    from bask_data.nn.selection import SelectionView
 
 N_VIEWS = 5
 """Frames of an object that candidates are taken from and searched in. Each costs a forward pass. Chosen, sensitivity
@@ -30,6 +30,13 @@ STEPS_OF_OBJECT = 2 * N_VIEWS * STEPS_OF_PASS + N_VIEWS * (N_VIEWS - 1)
 
 CANDIDATES_PER_FRAME = 120
 """Fewest candidates from each of these frames. Chosen, sensitivity not measured."""
+
+N_POOL = 96
+"""Candidates of an object that are searched in other scans: those found again most often in its own. Each costs some
+milliseconds a frame. Chosen, sensitivity not measured."""
+
+POOL_PER_KEYPOINT = 6
+"""Fewest such candidates for each keypoint, so that there is a choice. Chosen, sensitivity not measured."""
 
 MASK_BORDERS = (0.02, 0.01, 0.0)
 """Distances from a mask's edge, as shares of the image's height; the next is tried where an object is too slim. Chosen,
@@ -61,13 +68,66 @@ class _Candidates:
     points_world: np.ndarray
     descriptors: torch.Tensor
 
+    def taken(self, rows: np.ndarray) -> _Candidates:
+        """Some of them."""
+        return _Candidates(
+            self.frames, self.i_frame[rows], self.uv[rows], self.points_world[rows], self.descriptors[rows]
+        )
+
+    def pick(self, row: int, name: str, **more: Any) -> Pick:
+        """A candidate as a pick of that name."""
+        camera, i_frame = self.frames[self.i_frame[row]]
+        (u, v), (x, y, z) = self.uv[row].tolist(), self.points_world[row].tolist()
+        return Pick(name=name, camera=camera.name, frame=i_frame, u=u, v=v, point_world=(x, y, z), **more)
+
 
 def chosen(
-    wanted: Wanted, scene: str, scan: Scan, masks: VisibleMasks, network: DescriptorNetwork
+    wanted: Wanted,
+    scene: str,
+    scan: Scan,
+    masks: VisibleMasks,
+    network: DescriptorNetwork,
+    others: Mapping[str, tuple[Scan, VisibleMasks]] | None = None,
 ) -> tuple[list[Pick], np.ndarray]:
-    """Keypoints chosen automatically on the objects of a scan, and their descriptors (k, d)."""
+    """Keypoints chosen automatically on the objects of a scan, and their descriptors (k, d).
+
+    Args:
+        others: further scans, by name, in which candidates are searched.
+    """
     import numpy as np
 
+    from bask_data.nn.selection import spread_out
+
+    instances = _instances(wanted, scene, masks)
+    # The first objects get one more where the number does not divide evenly.
+    n_of = {i: wanted.n // len(instances) + (k < wanted.n % len(instances)) for k, i in enumerate(instances)}
+    instances = tuple(i for i in instances if n_of[i])
+    others = others or {}
+    # An object takes seconds to minutes; smaller steps let a listener cancel the work soon.
+    steps_of_scan = N_FRAMES * STEPS_OF_PASS
+    steps = Steps("choosing keypoints", STEPS_OF_OBJECT * len(instances) + steps_of_scan * len(others))
+    candidates, pools = [], []
+    for order, instance in enumerate(instances):
+        steps.reach(STEPS_OF_OBJECT * order)
+        found, pool = _of_instance(instance, n_of[instance], scan, masks, network, seed=wanted.seed, steps=steps)
+        candidates.append(found)
+        pools.append(pool)
+    steps.reach(STEPS_OF_OBJECT * len(instances))
+    for _ in steps.over(search(pools, others, network, wanted.seed), steps_of_scan):
+        pass
+    steps.reach(STEPS_OF_OBJECT * len(instances) + steps_of_scan * len(others))
+    picks, descriptors = [], []
+    for instance, found, pool in zip(instances, candidates, pools, strict=True):
+        rows = spread_out(found.points_world, -pool.compared, n_of[instance])
+        for i, row in enumerate(rows):
+            more = {"recording": scene, "instance": instance, "recognition": pool.recognition(int(row), scene)}
+            picks.append(found.pick(int(row), f"object_{instance}_{i}", **more))
+            descriptors.append(found.descriptors[row].cpu().numpy())
+    return picks, np.stack(descriptors)
+
+
+def _instances(wanted: Wanted, scene: str, masks: VisibleMasks) -> tuple[int, ...]:
+    """The objects to put keypoints on; `UsageError` if they do not exist."""
     instances = wanted.instances or tuple(range(1, masks.n_instances + 1))
     unknown = [i for i in instances if not 1 <= i <= masks.n_instances]
     if unknown or not instances:
@@ -76,37 +136,19 @@ def chosen(
             raise UsageError("reference", "scene", expected="one with objects", got=f"{scene}, without any", fix=fix)
         expected, fix = f"objects of {scene}, 1..{masks.n_instances}", "`bask-data view` shows their numbers."
         raise UsageError("reference", "instances", expected=expected, got=str(unknown), fix=fix)
-    picks, descriptors = [], []
-    # An object takes seconds to minutes; smaller steps let a listener cancel the work soon.
-    steps = Steps("choosing keypoints", STEPS_OF_OBJECT * len(instances))
-    for order, instance in enumerate(instances):
-        # The first objects get one more where the number does not divide evenly.
-        n = wanted.n // len(instances) + (order < wanted.n % len(instances))
-        if n == 0:
-            continue
-        steps.reach(STEPS_OF_OBJECT * order)
-        found, rows = _of_instance(instance, n, scan, masks, network, seed=wanted.seed, steps=steps)
-        for i, row in enumerate(rows):
-            camera, i_frame = found.frames[found.i_frame[row]]
-            u, v = found.uv[row].tolist()
-            x, y, z = found.points_world[row].tolist()
-            where = {"recording": scene, "camera": camera.name, "frame": i_frame, "u": u, "v": v}
-            picks.append(Pick(name=f"object_{instance}_{i}", instance=instance, point_world=(x, y, z), **where))
-            descriptors.append(found.descriptors[row].cpu().numpy())
-    steps.reach(STEPS_OF_OBJECT * len(instances))
-    return picks, np.stack(descriptors)
+    return instances
 
 
 def _of_instance(
     instance: int, n: int, scan: Scan, masks: VisibleMasks, network: DescriptorNetwork, *, seed: int, steps: Steps
-) -> tuple[_Candidates, np.ndarray]:
-    """Candidates on an object, and which n of them to take; at most `STEPS_OF_OBJECT` steps."""
+) -> tuple[_Candidates, Pool]:
+    """The candidates on an object that its own scan finds again most often; at most `STEPS_OF_OBJECT` steps."""
     import numpy as np
 
-    from bask_data.nn.selection import found_again, spread_out
+    from bask_data.nn.selection import found_again
 
     frames = _best_frames(instance, scan, masks)
-    views = [_view(camera, i_frame, network) for camera, i_frame in steps.over(frames, STEPS_OF_PASS)]
+    views = [view_of(camera, i_frame, network, masks) for camera, i_frame in steps.over(frames, STEPS_OF_PASS)]
     for border in MASK_BORDERS:
         rng = np.random.default_rng((seed, instance))
         # A second border is an exception that the steps do not include.
@@ -129,7 +171,11 @@ def _of_instance(
         if len(mine) and others:
             searched = steps.over(others)
             share_found[mine], _ = found_again(candidates.points_world[mine], candidates.descriptors[mine], searched)
-    return candidates, spread_out(candidates.points_world, share_found, n)
+    # Among those found equally often, which are many, chance decides, not the order of the frames.
+    order = np.lexsort((rng.random(len(share_found)), -share_found))
+    pooled = candidates.taken(order[: max(N_POOL, POOL_PER_KEYPOINT * n)])
+    own = in_own_scan(pooled.points_world, pooled.descriptors, pooled.i_frame, views)
+    return pooled, Pool(pooled.points_world, pooled.descriptors, own)
 
 
 def _best_frames(instance: int, scan: Scan, masks: VisibleMasks) -> list[tuple[Camera, int]]:
@@ -177,14 +223,3 @@ def _candidates(
         descriptors.append(network.descriptors_at(camera.rgb(i_frame), uv.astype(np.float32)))
     joined = torch.cat(descriptors) if descriptors else torch.empty(0, network.settings.descriptor_dim)
     return _Candidates(seen, np.array(i_frames, int), np.concatenate(pixels), np.concatenate(points), joined)
-
-
-def _view(camera: Camera, i_frame: int, network: DescriptorNetwork) -> SelectionView:
-    from bask_data.nn.selection import SelectionView
-
-    return SelectionView(
-        descriptors=network.describe(camera.rgb(i_frame)),
-        depth=camera.depth(i_frame),
-        K=camera.K,
-        world_from_camera=camera.world_from_cameras[i_frame],
-    )

@@ -21,6 +21,7 @@ from bask_data.kinds import (
     VisibleMasks,
 )
 from bask_data.stages.automatic_keypoints import Wanted, chosen
+from bask_data.stages.keypoint_quality import of_picks, other_scans
 
 if TYPE_CHECKING:
     import numpy as np
@@ -53,7 +54,7 @@ class ReferenceParams(Params):
         return () if kind == "demonstration" else None
 
 
-@stage(makes=ReferenceKeypoints, version=1)
+@stage(makes=ReferenceKeypoints, version=2)
 def reference(
     scans: list[Scan],
     masks: list[VisibleMasks],
@@ -64,14 +65,17 @@ def reference(
 ) -> None:
     """Choose reference keypoints and store their descriptors.
 
-    Automatically, it takes points that are found again in other views, spread over the objects, away from their edges
-    and with measured depth. Points picked by hand are given as --picks, or clicked in a browser with --pick.
+    Automatically, it takes points that are found again in other scans, or else in other views of the same scan, spread
+    over the objects, away from their edges and with measured depth. What error to expect of each, and which are
+    ambiguous, is measured there, printed and stored. Points picked by hand are given as --picks, or clicked in a
+    browser with --pick.
     """
     network = descriptor.network()
     if params.picks and not params.auto:
         recordings: list[Recording] = [*scans, *demonstrations]
         labels = {mask.path.name: mask for mask in masks}
         picks, descriptors = _picked(params.picks, {one.path.name: one for one in recordings}, labels, network)
+        picks = of_picks(picks, descriptors, {scan.path.name: scan for scan in scans}, labels, network)
     else:
         by_name = {scan.path.name: (scan, mask) for scan, mask in zip(scans, masks, strict=True)}
         name = params.scene or next((name for name, (_, mask) in by_name.items() if mask.n_instances), "")
@@ -87,7 +91,8 @@ def reference(
             fix = "leave --scene out to take the first that has objects."
             raise UsageError("reference", "scene", expected=f"one of {', '.join(by_name)}", got=name, fix=fix)
         wanted = Wanted(params.n, params.instances, params.seed)
-        picks, descriptors = chosen(wanted, name, *by_name[name], network)
+        others = {other: by_name[other] for other in other_scans(name, list(by_name), descriptor.metadata.learned_from)}
+        picks, descriptors = chosen(wanted, name, *by_name[name], network, others)
     ReferenceKeypoints.write(out, descriptors=descriptors, picks=picks)
 
 

@@ -46,6 +46,7 @@ def track(*names: str, filter: str) -> Artifact:
 
 PIXELS = {"measured_and_agreeing": 80, "not_measured_and_kept": 20, "measured_in_front": 25, "measured_through": 7}
 PICK = {"name": "rim", "recording": "a", "camera": "wrist", "frame": 0, "u": 1.0, "v": 1.0}
+RECOGNITION = {"error": 0.0126, "share_found": 0.8, "n_frames": 5, "scans": ["b", "c"], "is_ambiguous": True}
 NET = {"validated_on": "scene c", "step": 3, "chosen_by": None}
 METRICS = {"loss": 0.2, "validation_median_error_px": 2.25, "validation_pck_4": 0.913}
 
@@ -74,6 +75,10 @@ METRICS = {"loss": 0.2, "validation_median_error_px": 2.25, "validation_pck_4": 
         ),
         ([stating(DescriptorNet, metrics={"loss": 0.2}, **NET)], ""),
         ([stating(ReferenceKeypoints, picks=[PICK, PICK])], "2 keypoints"),
+        (
+            [stating(ReferenceKeypoints, picks=[PICK, {**PICK, "recognition": RECOGNITION}])],
+            "2 keypoints; expected error 13 mm (median); 1 ambiguous",
+        ),
         (
             [
                 stating(KeypointTrack, names=["a", "b"], filter="particle"),

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -73,7 +74,9 @@ def test_saved_keypoints_are_made_by_the_stage_and_are_up_to_date(pickable_copy)
         click(page, name="rim")
         click(page, "lift", 60.5)
         found = page.answer("save")
-    assert (found["summary"], found["next"]) == ("2 keypoints saved as reference/hand", "bask-data encode")
+    # An untrained network has hardly any point that is not ambiguous.
+    assert re.fullmatch(r"2 keypoints saved as reference/hand( \(ambiguous: .*\))?", found["summary"])
+    assert found["next"] == "bask-data encode"
     assert [outcome.status for outcome in page.outcomes] == ["made"]
     kept = ReferenceKeypoints(pickable_copy.path(ReferenceKeypoints, variant="hand"))
     assert [(pick.name, pick.recording, pick.u) for pick in kept.picks] == [

@@ -19,6 +19,7 @@ from bask_data.kinds import (
     ObjectInstances,
     PairRow,
     Pick,
+    Recognition,
     Reconstruction,
     ReferenceKeypoints,
     Scan,
@@ -48,6 +49,10 @@ class Views:
 
     def labels(self, i_frame: int) -> np.ndarray:
         return np.array([0, *LABELS], np.uint8)[self.views[i_frame].instance]
+
+
+RECOGNITION = Recognition(error=0.0234, share_found=0.6, n_frames=5, scans=("scan-a",), is_ambiguous=True)
+"""Of the second keypoint; the first has none."""
 
 
 def make_views(angle: float, n_frames: int) -> Views:
@@ -276,6 +281,7 @@ def publish_keypoints(dataset: Dataset, scan: Views, demonstration: Views, names
                 v=uv[1],
                 instance=i + 1,
                 point_world=tuple(point.tolist()),
+                recognition=RECOGNITION if i else None,
             )
         )
     descriptors = np.eye(2, 8, dtype=np.float32)

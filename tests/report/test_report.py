@@ -111,6 +111,13 @@ def test_a_full_dataset_has_every_section(full_html):
     assert "could not be read" not in page.text
 
 
+def test_the_page_tells_what_error_to_expect_of_each_keypoint(full_html):
+    text = Page(full_html).text
+    assert "Ambiguous , because several places look the same to the network: side." in text
+    assert "2 43.0 47.0 2 23.4 mm 60 % 5 frames of scan-a; ambiguous" in text
+    assert "1 corner scan-a wrist 2 84.0 47.0 1 – – not measured" in text
+
+
 def test_the_page_loads_nothing_and_runs_nothing(full_html):
     page = Page(full_html)
     for tag, name, value in page.attributes:

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from bask_data.core.geometry import invert_rigid, transform
+from bask_data.nn.recognition import Search
+from bask_data.stages.keypoint_quality import MOST_SCANS, Pool, elsewhere, in_own_scan, other_scans
+from tests.core.test_rigid_fit import motion
+from tests.nn.test_selection import position_views
+
+
+def pool_of(views, points, there_from_here: np.ndarray) -> Pool:
+    """Points of the first view, as picked in a scan in which everything lies elsewhere."""
+    chosen = points[0].reshape(-1, 3)[::97]
+    descriptors = torch.from_numpy(chosen).float()
+    own = Search.of(descriptors, views[:0]).sightings(chosen)
+    return Pool(transform(there_from_here, chosen), descriptors, own)
+
+
+def test_other_scans_come_in_the_order_of_what_was_not_learned_from():
+    assert other_scans("b", ["a", "b", "c", "d"], ("a", "b", "c")) == ["d", "a", "c"]
+    assert other_scans("b", ["a", "b", "c"], None) == ["a", "c"]
+    assert len(other_scans("b", [f"s{i}" for i in range(20)], ())) == MOST_SCANS
+
+
+def test_an_object_is_found_where_it_was_moved_to_and_its_true_places_follow():
+    views, points = position_views(5)
+    pool = pool_of(views, points, motion(np.random.default_rng(5)))
+    wrong = torch.arange(len(pool.points_world)) % 5 == 0
+    # A fifth of the points are found at one wrong place, on which all views agree.
+    pool.descriptors[wrong] = pool.descriptors[len(wrong) // 2].clone()
+    found = elsewhere(pool, views[1:], seed=0)
+    assert found is not None
+    error = found[0].expected_error
+    shown = np.isfinite(error)
+    assert np.median(error[shown & ~wrong.numpy()]) < 0.01
+    assert np.median(error[shown & wrong.numpy()]) > 0.05
+    # By themselves, views agree on the wrong place as well as on the right one.
+    assert np.nanmedian(found[1].expected_error) < 0.01
+
+
+def test_an_object_that_the_other_scan_does_not_show_is_not_recognised():
+    views, points = position_views(5)
+    pool = pool_of(views, points, np.eye(4))
+    pool.descriptors = torch.from_numpy(np.random.default_rng(0).normal(size=pool.descriptors.shape)).float()
+    assert elsewhere(pool, views, seed=0) is None
+    assert elsewhere(pool, views[:1], seed=0) is None
+    assert pool.recognition(0, "a") is None
+
+
+def test_what_is_stored_is_of_the_other_scans_and_else_of_its_own():
+    views, points = position_views(5)
+    pool = pool_of(views, points, np.eye(4))
+    pool.own = in_own_scan(pool.points_world, pool.descriptors, np.zeros(len(pool.points_world), int), views)
+    # The first view is their own, so it does not count.
+    assert np.isnan(pool.own.error[:, 0]).all()
+    row = int(np.argmax(pool.own.n_views))
+    own = pool.recognition(row, "a")
+    assert own is not None
+    assert (own.scans, own.n_frames, own.share_found) == (("a",), 4, 1.0)
+    assert own.error == pytest.approx(pool.own.expected_error[row])
+    found = elsewhere(pool, views[3:], seed=0)
+    assert found is not None
+    pool.scans, pool.others, pool.agreeing = ["b"], [found[0]], [found[1]]
+    other = pool.recognition(row, "a")
+    assert other is not None
+    assert (other.scans, other.n_frames) == (("b",), int(found[0].n_views[row]))
+    # Candidates are compared by both, and one that no frame shows comes last.
+    assert pool.compared[row] <= max(own.error, found[1].expected_error[row])
+    assert np.isinf(pool.compared[(pool.own.n_views == 0) & (found[1].n_views == 0)]).all()
+
+
+def test_moving_a_camera_and_its_points_alike_changes_nothing():
+    views, points = position_views(3)
+    pool = pool_of(views, points, np.eye(4))
+    back = invert_rigid(motion(np.random.default_rng(1)))
+    moved = pool_of(views, points, back)
+    seen, same = elsewhere(pool, views, seed=3), elsewhere(moved, views, seed=3)
+    assert seen is not None
+    assert same is not None
+    np.testing.assert_allclose(seen[1].expected_error, same[1].expected_error, atol=0.02)
