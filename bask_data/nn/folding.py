@@ -1,4 +1,4 @@
-"""A network for inference: batch normalisation becomes part of the convolution before it."""
+"""A network for inference: batch normalisation becomes part of the convolution before it, and all are oneDNN's."""
 
 from __future__ import annotations
 
@@ -14,24 +14,21 @@ from bask_data.nn.network import DescriptorNetwork
 
 
 class FoldedConvolution(nn.Module):
-    """A convolution and the batch normalisation after it, in evaluation mode, as one convolution."""
+    """A convolution and the batch normalisation after it, if there is one, in evaluation mode, as one convolution."""
 
-    def __init__(self, convolution: nn.Conv2d, norm: nn.BatchNorm2d) -> None:
+    def __init__(self, convolution: nn.Conv2d, norm: nn.BatchNorm2d | None = None) -> None:
         super().__init__()
-        assert norm.running_mean is not None and norm.running_var is not None
         # Fused in double precision, as rounding is then that of the result alone.
-        weight, bias = fuse_conv_bn_weights(
-            convolution.weight.detach().double(),
-            None if convolution.bias is None else convolution.bias.detach().double(),
-            norm.running_mean.double(),
-            norm.running_var.double(),
-            norm.eps,
-            norm.weight.detach().double(),
-            norm.bias.detach().double(),
-        )
+        weight = convolution.weight.detach().double()
+        bias = None if convolution.bias is None else convolution.bias.detach().double()
+        if norm is not None:
+            assert norm.running_mean is not None and norm.running_var is not None
+            mean, variance = norm.running_mean.double(), norm.running_var.double()
+            gain, offset = norm.weight.detach().double(), norm.bias.detach().double()
+            weight, bias = fuse_conv_bn_weights(weight, bias, mean, variance, norm.eps, gain, offset)
         dtype = convolution.weight.dtype
         self.weight = nn.Parameter(weight.to(dtype, memory_format=torch.channels_last), requires_grad=False)
-        self.bias = nn.Parameter(bias.to(dtype), requires_grad=False)
+        self.bias = None if bias is None else nn.Parameter(bias.to(dtype), requires_grad=False)
         self._stride = tuple(convolution.stride)
         self._padding = tuple(map(int, convolution.padding))
         self._dilation, self._groups = tuple(convolution.dilation), convolution.groups
@@ -49,18 +46,19 @@ class FoldedConvolution(nn.Module):
 def folded(network: DescriptorNetwork) -> DescriptorNetwork:
     """The network for inference: the same descriptors up to rounding, in less time. The argument stays as it is.
 
-    In every encoder, a batch normalisation is registered right after the convolution whose output it takes. A network
-    without any, such as a folded one, is returned itself.
+    In every encoder, a batch normalisation is registered right after the convolution whose output it takes. A folded
+    network is returned itself.
     """
-    if not any(isinstance(module, nn.BatchNorm2d) for module in network.encoder.modules()):
+    if network.is_folded:
         return network
     network = deepcopy(network).eval()
     for module in list(network.encoder.modules()):
-        children = list(module.named_children())
-        for (name, before), (name_after, after) in pairwise(children):
-            if isinstance(before, nn.Conv2d) and isinstance(after, nn.BatchNorm2d):
-                setattr(module, name, FoldedConvolution(before, after))
-                setattr(module, name_after, nn.Identity())
+        for (name, child), (name_after, after) in pairwise([*module.named_children(), ("", None)]):
+            if isinstance(child, nn.Conv2d):
+                norm = after if isinstance(after, nn.BatchNorm2d) else None
+                setattr(module, name, FoldedConvolution(child, norm))
+                if norm is not None:
+                    setattr(module, name_after, nn.Identity())
     network.encoder.requires_grad_(False)
     network.is_folded = True
     return network

@@ -123,9 +123,11 @@ class DescriptorNetwork(nn.Module):
         size = self.input_size(images.shape[1:3])
         resized = np.stack([_resized(image, size) for image in images])
         was_training = self.training
-        self.eval()
+        if was_training:  # Setting the mode of all modules takes milliseconds.
+            self.eval()
         cells = self(torch.from_numpy(resized).to(self.device)).float()
-        self.train(was_training)
+        if was_training:
+            self.train()
         return cells if rgb.ndim == 4 else cells[0]
 
     @torch.inference_mode()
