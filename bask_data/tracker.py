@@ -19,9 +19,10 @@ import numpy as np
 
 from bask_data.artifact import MANIFEST
 from bask_data.core.filters.belief_arrays import from_arrays, to_arrays
+from bask_data.core.filters.calibrated import calibrated_settings
 from bask_data.core.filters.observation import Estimate, Motion, Observation, PixelMaps, WeightedPoints
 from bask_data.core.filters.step import step
-from bask_data.core.filters.table import DEFAULT, FilterSettings, filter_of, settings_named
+from bask_data.core.filters.table import DEFAULT, FilterSettings, filter_of
 from bask_data.core.geometry import in_image, scale_pixels
 from bask_data.errors import BadData
 from bask_data.kinds import DescriptorNet, ReferenceKeypoints
@@ -81,8 +82,8 @@ class KeypointTracker:
         Args:
             descriptor: network, or its path in a dataset, `ROOT/descriptor/main`.
             reference: reference keypoints, or their path in a dataset, `ROOT/reference/main`.
-            settings: settings of a filter, whose type selects it; see `core.filters.table.settings_named`. Default:
-                the particle filter's.
+            settings: settings of a filter, whose type selects it; see `core.filters.calibrated.calibrated_settings`.
+                Default: the particle filter's, with alpha and tau as measured for the references, if they were.
             seed: seed of the filter's random numbers.
             device: device of the network. Default: the GPU if there is one.
             cameras: names in the filter's order. Default: in the order of their first frames, then by name.
@@ -104,7 +105,8 @@ class KeypointTracker:
         self.names = tuple(reference.names)
         self._every = every
         self._observer = FrameObserver(network if device is None else network.to(device), reference, every, scale)
-        self._settings, self._seed, self._given = settings or settings_named(DEFAULT), seed, tuple(cameras or ())
+        self._settings = settings or calibrated_settings(DEFAULT, reference.calibration)
+        self._seed, self._given = seed, tuple(cameras or ())
         self.reset()
 
     def __repr__(self) -> str:

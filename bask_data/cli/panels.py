@@ -72,7 +72,7 @@ PANELS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "reference": {EVERYDAY: ("auto", "n", "scene", "instances", "picks", "seed")},
     "encode": {
         EVERYDAY: ("filter", "settings", "cameras", "seed"),
-        "Observation": ("alpha", "tau", "tau_match", "dropout", "source"),
+        "Observation": ("calibrated", "alpha", "tau", "tau_match", "dropout", "source"),
         "Motion": ("walk", "walk_px", "gripper_probability", "gripper_reach"),
         "Belief": ("n_particles", "grid"),
         "Speed": ("every", "scale"),

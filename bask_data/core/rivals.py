@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from bask_data.core.calibration import SHARP_ALPHAS, Evidence
+from bask_data.core.calibration import TEMPERATURES, Evidence
 from bask_data.core.filters.observation import Observation, pixels_of
 from bask_data.core.geometry import transform, unproject
 from bask_data.core.static_truth import Visibility, visibility
@@ -21,14 +21,14 @@ APART = 0.03
 """Share of an image's diagonal that a rival is away from the keypoint, at least: as far as a keypoint may be off to
 count as found again when keypoints are chosen."""
 
-OFF_STRIDE = 2
+LEVEL_STRIDE = 2
 """Step, in rows and columns, of the pixels that a heat map's mean is computed from. Chosen, sensitivity not
 measured."""
 
 
 def measured_evidence(
     points_world: Float[ndarray, "k 3"],
-    views: Sequence[Observation],
+    views: Iterable[Observation],
     picked_in: Int[ndarray, "k"],
     tolerance: float = TOLERANCE,
 ) -> Evidence:
@@ -39,26 +39,30 @@ def measured_evidence(
 
     Args:
         points_world: true positions, metres; NaN where unknown.
-        views: with the distance map of each keypoint; depth may be finer than the maps.
+        views: with the distance map of each keypoint; depth may be finer than the maps. They may be computed each time
+            they are read.
         picked_in: index of the view that each keypoint was picked in, which says nothing; -1 for none of them.
         tolerance: metres between measured and true depth up to which a point counts as seen.
+
+    Raises:
+        ValueError: `views` can be read once only.
     """
+    if iter(views) is views:
+        raise ValueError("views: expected a list or the like, which can be read twice, got an iterator")
     rivals = [_rivals(points_world, view, tolerance) for view in views]
     places, of = np.concatenate([at for at, _ in rivals]), np.concatenate([index for _, index in rivals])
     found_in = np.repeat(np.arange(len(rivals)), [len(index) for _, index in rivals])
-    true, true_of, rival, rival_of, off = [], [], [], [], []
-    keypoints = np.arange(len(points_world))
+    samples: list[tuple[ndarray, ...]] = []
     for i, view in enumerate(views):
         shown = np.flatnonzero(_visible(points_world, view, tolerance) & (picked_in != i))
-        true.append(_at(points_world[shown], shown, view))
-        true_of.append(keypoints[shown])
-        off.append(_off(points_world[shown], view.distance[shown], view))
         there = np.flatnonzero(_visible(places, view, tolerance) & (found_in != i))
-        apart = _apart(places[there], points_world[of[there]], view)
-        there = there[apart]
-        rival.append(_at(places[there], of[there], view))
-        rival_of.append(of[there])
-    return Evidence(*map(np.concatenate, (true, true_of, rival, rival_of, off)))
+        there = there[_apart(places[there], points_world[of[there]], view)]
+        level, mean = _heat(view.distance)
+        off = np.linalg.norm(mean[shown] - _cells(points_world[shown], view)[:, None], axis=-1)
+        true, rival = _at(points_world[shown], shown, view), _at(places[there], of[there], view)
+        diagonal = np.hypot(*view.distance.shape[1:])
+        samples.append((true, shown, level[shown], rival, of[there], level[of[there]], off / diagonal))
+    return Evidence(*map(np.concatenate, zip(*samples, strict=True)))
 
 
 def _rivals(
@@ -124,19 +128,16 @@ def _at(points_world: Float[ndarray, "n 3"], of: Int[ndarray, "n"], view: Observ
     return view.distance[of, v, u].astype(np.float64)
 
 
-def _off(
-    points_world: Float[ndarray, "n 3"], distance: Float[ndarray, "n h w"], view: Observation
-) -> Float[ndarray, "n a"]:
-    """Distance of the mean pixel of softmax(-alpha z) from visible points, as a share of the image's diagonal."""
-    height, width = distance.shape[1:]
-    at = _cells(points_world, view)
-    z = distance[:, ::OFF_STRIDE, ::OFF_STRIDE].astype(np.float64)
-    z = z - z.min(axis=(1, 2), keepdims=True)
-    v, u = np.arange(0, height, OFF_STRIDE), np.arange(0, width, OFF_STRIDE)
-    off = np.empty((len(z), len(SHARP_ALPHAS)))
-    for i, alpha in enumerate(SHARP_ALPHAS):
-        heat = np.exp(-alpha * z)
-        total = np.maximum(heat.sum(axis=(1, 2)), np.finfo(np.float64).tiny)
-        mean = np.stack([heat.sum(axis=1) @ u, heat.sum(axis=2) @ v], axis=-1) / total[:, None]
-        off[:, i] = np.linalg.norm(mean - at, axis=1) / np.hypot(height, width)
-    return off
+def _heat(distance: Float[ndarray, "k h w"]) -> tuple[Float[ndarray, "k a"], Float[ndarray, "k a 2"]]:
+    """Level -log(mean of exp(-alpha z)) / alpha at each of `TEMPERATURES`, and the mean pixel of the heat map."""
+    z = distance[:, ::LEVEL_STRIDE, ::LEVEL_STRIDE]
+    least = z.min(axis=(1, 2)).astype(np.float64)
+    v, u = (np.arange(0, n, LEVEL_STRIDE) for n in distance.shape[1:])
+    level, mean = np.empty((len(z), len(TEMPERATURES))), np.empty((len(z), len(TEMPERATURES), 2))
+    for i, alpha in enumerate(TEMPERATURES):
+        heat = np.exp(-alpha * (z - z.min(axis=(1, 2), keepdims=True)))
+        columns, rows = heat.sum(axis=1, dtype=np.float64), heat.sum(axis=2, dtype=np.float64)
+        total = columns.sum(axis=1)
+        level[:, i] = least - np.log(total / z[0].size) / alpha
+        mean[:, i] = np.stack([columns @ u, rows @ v], axis=-1) / total[:, None]
+    return level, mean

@@ -14,6 +14,8 @@ from bask_data.kinds.arrays import read_all, start, write_array
 if TYPE_CHECKING:
     import numpy as np
 
+    from bask_data.core.calibration import Calibration
+
 
 class Recognition(Metadata):
     """How well a network recognises a keypoint, frame by frame, measured before any demonstration is encoded.
@@ -69,7 +71,24 @@ class ReferenceKeypoints(Artifact):
     scope = "dataset"
     has_variants = True
     metadata_model = ReferenceMetadata
-    arrays = {"descriptors": ArraySpec(("k", "d"), "float32", "Descriptor of each keypoint where it was picked.")}
+    arrays = {
+        "descriptors": ArraySpec(("k", "d"), "float32", "Descriptor of each keypoint where it was picked."),
+        "alpha": ArraySpec(
+            ("k",),
+            "float64",
+            "Temperature of the filters, measured: a pixel at distance z has likelihood exp(-alpha z).",
+            optional=True,
+        ),
+        "tau_ratio": ArraySpec(
+            ("k",),
+            "float64",
+            "Likelihood of an image that does not show the keypoint, over that at its average pixel, measured.",
+            optional=True,
+        ),
+        "sharp_alpha": ArraySpec(
+            ("k",), "float64", "Temperature of a single frame's heat map, measured.", optional=True
+        ),
+    }
 
     @cached_property
     def descriptors(self) -> np.ndarray:
@@ -80,6 +99,26 @@ class ReferenceKeypoints(Artifact):
         if not np.isfinite(descriptors).all():
             raise BadData(self.path, "descriptors", expected="finite numbers", got="NaN or infinity", fix=REMAKE)
         return descriptors
+
+    @cached_property
+    def calibration(self) -> Calibration | None:
+        """Temperature and tau as measured; None where nothing could be measured, and in artifacts from before.
+
+        Raises:
+            BadData: a value is not finite and positive.
+        """
+        import numpy as np
+
+        from bask_data.core.calibration import Calibration
+
+        if "tau_ratio" not in self.group:
+            return None
+        values = {name: read_all(self.group, name, self.path) for name in ("alpha", "tau_ratio", "sharp_alpha")}
+        for name, value in values.items():
+            if not (np.isfinite(value) & (value > 0)).all():
+                expected = "finite numbers above 0"
+                raise BadData(self.path, name, expected=expected, got=str(value.tolist()), fix=REMAKE)
+        return Calibration(**values)
 
     @property
     def picks(self) -> list[Pick]:
@@ -96,10 +135,13 @@ class ReferenceKeypoints(Artifact):
         return recognition_lines(self.picks)
 
     @staticmethod
-    def write(out: Path, *, descriptors: np.ndarray, picks: list[Pick]) -> None:
-        """Write descriptors (k, d) and their k picks."""
+    def write(out: Path, *, descriptors: np.ndarray, picks: list[Pick], calibration: Calibration | None = None) -> None:
+        """Write descriptors (k, d), their k picks and what was measured for the filters, if anything."""
         group = start(out, ReferenceKeypoints, {"picks": [pick.model_dump() for pick in picks]})
         write_array(group, ReferenceKeypoints, "descriptors", descriptors)
+        if calibration is not None:
+            for name in ("alpha", "tau_ratio", "sharp_alpha"):
+                write_array(group, ReferenceKeypoints, name, getattr(calibration, name))
 
 
 def ambiguous(picks: Sequence[Pick]) -> list[str]:

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pydantic import Field, field_validator
 
-from bask_data.core.filters.table import DEFAULT, FILTERS, FilterSettings, SettingsName, filter_named, settings_named
+from bask_data.core.filters.calibrated import calibrated_settings, likelihood_text
+from bask_data.core.filters.table import DEFAULT, FILTERS, FilterSettings, SettingsName, filter_named
 from bask_data.engine import Params, progress, stage
 from bask_data.errors import BadData, UsageError
 from bask_data.kinds import Camera, Demonstration, DescriptorNet, KeypointTrack, ReferenceKeypoints, Truth
@@ -26,6 +27,7 @@ from bask_data.stages.true_track import write_truth
 if TYPE_CHECKING:
     import numpy as np
 
+    from bask_data.core.calibration import Calibration
     from bask_data.kinds.keypoints import KeypointsWriter
     from bask_data.observing import Described, Moment
     from bask_data.tracker import KeypointTracker, TrackedKeypoints
@@ -74,19 +76,25 @@ class EncodeParams(Params):
         description="The filter's settings: our own, the paper's, or those of its authors' code. The "
         "options below take precedence.",
     )
+    calibrated: bool = Field(
+        True,
+        exclude_if=lambda value: value is True,
+        description="Take alpha and tau of each keypoint as `reference` measured them, if it could, for the default "
+        "settings.",
+    )
     alpha: float | None = Field(
         None,
         gt=0,
         description="Temperature: a pixel at descriptor distance z has likelihood exp(-alpha z). "
-        "Default: 4; particle: 2, because errors of successive frames are correlated; expectation: 20, because with "
-        "less the many pixels of background outweigh the match.",
+        "Default: as measured, else 4; particle: 2, because errors of successive frames are correlated; expectation: "
+        "20, because with less the many pixels of background outweigh the match.",
     )
     tau: float | None = Field(
         None,
         gt=0,
         lt=1,
         description="Likelihood of an image if the keypoint is hidden or out of view. "
-        "Default: from each image, twice the likelihood of its average pixel.",
+        "Default: as measured, else from each image, twice the likelihood of its average pixel.",
     )
     n_particles: int | None = Field(None, ge=10, description="Particles of each keypoint. Default: 2000.")
     tau_match: float | None = Field(
@@ -210,12 +218,16 @@ def cameras_of(demonstration: Demonstration, wanted: tuple[str, ...] = ()) -> li
     return cameras
 
 
-def settings_of(params: EncodeParams) -> FilterSettings:
-    """The settings of the chosen filter; those of the others are ignored."""
+def settings_of(params: EncodeParams, calibration: Calibration | None = None) -> FilterSettings:
+    """The settings of the chosen filter; those of the others are ignored.
+
+    Args:
+        calibration: of the reference keypoints, used by the default settings unless `params` say otherwise.
+    """
     names = {field.name for field in fields(filter_named(params.filter).settings)}
     # An option that takes several values has none of them where it was not given.
     given = {name: None if value == () else value for name, value in params.model_dump().items() if name in names}
-    return settings_named(params.filter, params.settings, **given)
+    return calibrated_settings(params.filter, calibration if params.calibrated else None, params.settings, **given)
 
 
 def grippers_of(demonstration: Demonstration, n_frames: int) -> np.ndarray | None:
@@ -258,7 +270,9 @@ def _track(
 
     names, n_frames = [camera.name for camera in cameras], cameras[0].n_frames
     grippers = grippers_of(demonstration, n_frames)
-    tracker = KeypointTracker(descriptor, reference, settings_of(params), params.seed, cameras=names, **params.savings)
+    settings = settings_of(params, reference.calibration)
+    tracker = KeypointTracker(descriptor, reference, settings, params.seed, cameras=names, **params.savings)
+    note(likelihood_text(settings))
     begin = _resumed(tracker, out)
     shown = ~dropped(n_frames, len(cameras), params.dropout, params.seed)
     begun = time.monotonic()

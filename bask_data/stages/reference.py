@@ -21,6 +21,7 @@ from bask_data.kinds import (
     VisibleMasks,
 )
 from bask_data.stages.automatic_keypoints import Wanted, chosen
+from bask_data.stages.keypoint_evidence import measured
 from bask_data.stages.keypoint_quality import of_picks, other_scans
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class ReferenceParams(Params):
         return () if kind == "demonstration" else None
 
 
-@stage(makes=ReferenceKeypoints, version=2)
+@stage(makes=ReferenceKeypoints, version=3)
 def reference(
     scans: list[Scan],
     masks: list[VisibleMasks],
@@ -69,6 +70,9 @@ def reference(
     over the objects, away from their edges and with measured depth. What error to expect of each, and which are
     ambiguous, is measured there, printed and stored. Points picked by hand are given as --picks, or clicked in a
     browser with --pick.
+
+    Where they are picked in scans, other frames of these tell what descriptor distances mean: temperature and tau of
+    each keypoint, which `encode` takes.
     """
     network = descriptor.network()
     if params.picks and not params.auto:
@@ -93,7 +97,8 @@ def reference(
         wanted = Wanted(params.n, params.instances, params.seed)
         others = {other: by_name[other] for other in other_scans(name, list(by_name), descriptor.metadata.learned_from)}
         picks, descriptors = chosen(wanted, name, *by_name[name], network, others)
-    ReferenceKeypoints.write(out, descriptors=descriptors, picks=picks)
+    calibration = measured(picks, descriptors, {one.path.name: one for one in (*scans, *demonstrations)}, network)
+    ReferenceKeypoints.write(out, descriptors=descriptors, picks=picks, calibration=calibration)
 
 
 def _picked(

@@ -70,8 +70,9 @@ def _tracker(dataset: Dataset, track: KeypointTrack, variant: str) -> tuple[Keyp
     reference = input_variant(dataset, track, ReferenceKeypoints, variant)
     if params.source == "truth" or descriptor is None or reference is None:
         return None, params
+    settings = settings_of(params, reference.calibration)
     tracker = KeypointTracker(
-        descriptor, reference, settings_of(params), params.seed, cameras=track.camera_names, **params.savings
+        descriptor, reference, settings, params.seed, cameras=track.camera_names, **params.savings
     )
     return tracker, params
 

@@ -4,24 +4,30 @@ import numpy as np
 import pytest
 
 from bask_data.core.calibration import (
+    LEAST_ALPHA,
     LEAST_SIGHTINGS,
-    SHARP_ALPHAS,
+    MOST_TAU_RATIO,
+    TEMPERATURES,
     Calibration,
     Evidence,
     calibrated,
+    joined,
+    typical,
 )
 
 
-def evidence(true: dict[int, np.ndarray], rival: dict[int, np.ndarray], best: int = 2) -> Evidence:
-    """Samples by keypoint; the `best` of the temperatures takes the mean pixel to the keypoint."""
-    n = sum(map(len, true.values()))
-    off = np.ones((n, len(SHARP_ALPHAS)))
+def evidence(true: dict[int, np.ndarray], rival: dict[int, np.ndarray], level: float = 1.0, best: int = 2) -> Evidence:
+    """Samples by keypoint, frames of one level; the `best` of the temperatures takes the mean pixel to the keypoint."""
+    n, m = sum(map(len, true.values())), sum(map(len, rival.values()))
+    off = np.ones((n, len(TEMPERATURES)))
     off[:, best] = 0.1
     return Evidence(
         np.concatenate(list(true.values())),
         np.repeat(list(true), list(map(len, true.values()))),
+        np.full((n, len(TEMPERATURES)), level),
         np.concatenate(list(rival.values())),
         np.repeat(list(rival), list(map(len, rival.values()))),
+        np.full((m, len(TEMPERATURES)), level),
         off,
     )
 
@@ -37,29 +43,62 @@ def test_an_error_seen_ten_times_is_no_more_evidence_than_once() -> None:
     assert once is not None
     assert repeated is not None
     assert repeated.alpha[2] == pytest.approx(once.alpha[2], rel=1e-4)
-    assert repeated.crossing[2] == pytest.approx(once.crossing[2], rel=1e-4)
+    assert repeated.tau_ratio[2] == pytest.approx(once.tau_ratio[2], rel=1e-4)
+
+
+def crossing(found: Calibration) -> np.ndarray:
+    """Distance above the level at which a match is as likely at a rival."""
+    return -np.log(found.tau_ratio) / found.alpha
+
+
+def test_tau_is_where_keypoint_and_rivals_are_equally_likely() -> None:
+    found = calibrated(evidence({0: normal(0.9, 4000, 0)}, {0: normal(1.2, 4000, 1)}, level=1.0), 1)
+    assert found is not None
+    assert found.alpha == pytest.approx(0.3 / 0.2**2, rel=0.1)
+    assert crossing(found) == pytest.approx([0.05], abs=0.02)
+
+
+def test_frames_whose_distances_all_rise_say_the_same() -> None:
+    true, rival = {0: normal(0.9, 400, 0)}, {0: normal(1.2, 400, 1)}
+    near = evidence(true, rival)
+    far = evidence({0: true[0] + 5}, {0: rival[0] + 5}, level=6.0)
+    found, expected = calibrated(joined([near, far]), 1), calibrated(joined([near, near]), 1)
+    assert found is not None
+    assert expected is not None
+    np.testing.assert_allclose(found.alpha, expected.alpha, rtol=1e-4)
+    np.testing.assert_allclose(found.tau_ratio, expected.tau_ratio, rtol=1e-4)
 
 
 def test_a_keypoint_with_many_frames_has_its_own_values_and_one_without_those_of_the_average() -> None:
-    far, near = (normal(0.6, 4000, 0), normal(0.9, 4000, 1)), (normal(0.2, 4000, 2), normal(0.5, 4000, 3))
-    found = calibrated(evidence({0: far[0], 1: near[0]}, {0: far[1], 1: near[1]}), 3)
+    far, near = (normal(1.2, 4000, 0), normal(1.5, 4000, 1)), (normal(0.9, 4000, 2), normal(1.2, 4000, 3))
+    measured = evidence({0: far[0], 1: near[0]}, {0: far[1], 1: near[1]})
+    found, average = calibrated(measured, 3), typical(measured, 2)
     assert found is not None
-    assert found.crossing[:2] == pytest.approx([0.75, 0.35], abs=0.02)
-    assert found.crossing[0] > found.crossing[2] > found.crossing[1]
-    assert found.tau == pytest.approx(np.exp(-found.alpha * found.crossing))
+    assert average is not None
+    assert crossing(found)[:2] == pytest.approx([0.35, 0.05], abs=0.02)
+    assert crossing(found)[0] > crossing(found)[2] > crossing(found)[1]
+    for name in ("alpha", "tau_ratio", "sharp_alpha"):
+        np.testing.assert_array_equal(getattr(average, name), np.full(2, getattr(found, name)[2]))
 
 
 def test_few_frames_decide_little() -> None:
-    many, few = (normal(0.6, 4000, 0), normal(0.9, 4000, 1)), (normal(0.2, 4, 2), normal(0.5, 50, 3))
+    many, few = (normal(1.2, 4000, 0), normal(1.5, 4000, 1)), (normal(0.9, 4, 2), normal(1.2, 50, 3))
     found = calibrated(evidence({0: many[0], 1: few[0]}, {0: many[1], 1: few[1]}), 3)
     assert found is not None
-    assert abs(found.crossing[1] - found.crossing[2]) < 0.3 * abs(found.crossing[2] - 0.35)
+    assert abs(crossing(found)[1] - crossing(found)[2]) < 0.3 * abs(crossing(found)[2] - 0.05)
+
+
+def test_a_measurement_lowers_tau_only_and_does_not_flatten_the_heat_maps() -> None:
+    found = calibrated(evidence({0: normal(0.5, 400, 0)}, {0: normal(0.4, 400, 1)}, level=1.0), 1)
+    assert found is not None
+    assert found.alpha == pytest.approx([LEAST_ALPHA])
+    assert found.tau_ratio == pytest.approx([MOST_TAU_RATIO])
 
 
 def test_single_frames_have_the_temperature_whose_mean_pixel_is_nearest() -> None:
     found = calibrated(evidence({0: normal(0.6, 40, 0)}, {0: normal(0.9, 40, 1)}, best=3), 2)
     assert found is not None
-    assert found.sharp_alpha == pytest.approx([SHARP_ALPHAS[3]] * 2)
+    assert found.sharp_alpha == pytest.approx([TEMPERATURES[3]] * 2)
 
 
 def test_too_few_frames_or_no_rival_calibrate_nothing() -> None:
@@ -67,4 +106,5 @@ def test_too_few_frames_or_no_rival_calibrate_nothing() -> None:
     assert calibrated(evidence({0: few}, {0: normal(0.9, 40, 1)}), 1) is None
     assert calibrated(evidence({0: enough}, {0: np.empty(0)}), 1) is None
     assert calibrated(evidence({0: np.empty(0)}, {0: np.empty(0)}), 1) is None
+    assert typical(evidence({0: np.empty(0)}, {0: np.empty(0)}), 1) is None
     assert isinstance(calibrated(evidence({0: enough}, {0: normal(0.9, 40, 1)}), 1), Calibration)

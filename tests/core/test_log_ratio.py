@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bask_data.core.log_ratio import LEAST_ALPHA, MISTAKEN, MOST_ALPHA, log_ratio
+from bask_data.core.log_ratio import MISTAKEN, log_ratio
 
 
 def normal(mean: float, n: int, seed: int, sigma: float = 0.2) -> np.ndarray:
@@ -34,7 +34,9 @@ def test_distances_that_do_not_overlap_give_the_odds_of_a_mistake() -> None:
     assert alpha * 0.5 == pytest.approx(np.log((1 - MISTAKEN) / MISTAKEN), rel=1e-3)
 
 
-def test_alpha_has_bounds() -> None:
-    assert log_ratio(normal(0.9, 500, 0), normal(0.6, 500, 1)) == (LEAST_ALPHA, pytest.approx(0.75, abs=0.02))
-    assert log_ratio(np.full(9, 0.5), np.full(9, 0.5)) == (LEAST_ALPHA, pytest.approx(0.5))
-    assert log_ratio(np.full(9, 0.50), np.full(9, 0.51))[0] == MOST_ALPHA
+def test_alpha_has_bounds_within_which_the_crossing_fits_best() -> None:
+    alpha, crossing = log_ratio(normal(0.9, 5000, 0), normal(0.6, 5000, 1), least=2.0)
+    assert alpha == pytest.approx(2.0)
+    assert crossing == pytest.approx(0.75, abs=0.02)
+    assert log_ratio(np.full(9, 0.50), np.full(9, 0.51), most=64.0) == pytest.approx((64.0, 0.505), rel=1e-3)
+    assert log_ratio(np.full(9, 0.5), np.full(9, 0.5), least=1.0) == pytest.approx((1.0, 0.5))

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bask_data.core.calibration import SHARP_ALPHAS, Evidence
+from bask_data.core.calibration import TEMPERATURES, Evidence
 from bask_data.core.filters.observation import Observation
 from bask_data.core.rivals import APART, measured_evidence
 
@@ -97,7 +97,24 @@ def test_a_rival_that_stays_is_a_match_and_one_that_does_not_is_background() -> 
 
 def test_the_mean_pixel_is_nearer_with_the_temperature_that_suits_the_map() -> None:
     found = measured_evidence(at(31, 21), [wall(0, {(31, 21): 0.9}), wall(5, {(31, 21): 0.9})], NOWHERE)
-    assert found.off.shape == (2, len(SHARP_ALPHAS))
+    assert found.off.shape == (2, len(TEMPERATURES))
     sharp = measured_evidence(at(30, 20), [wall(0, {(30, 20): 0.0}), wall(2, {(30, 20): 0.0})], NOWHERE).off
     assert (np.diff(sharp, axis=1) <= 1e-9).all()
     assert sharp[:, -1] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_level_of_a_frame_is_that_of_its_mean_likelihood() -> None:
+    # Every second row and column counts.
+    views = [wall(0, {(30, 20): 0.2}), wall(2, {(30, 20): 0.2, (60, 40): 0.4})]
+    found = measured_evidence(at(30, 20), views, NOWHERE)
+    n = HEIGHT * WIDTH / 4
+    for i, alpha in enumerate(TEMPERATURES):
+        mean = np.exp(-alpha * 1.0) + (np.exp(-alpha * 0.2) - np.exp(-alpha * 1.0)) / n
+        assert found.true_level[0, i] == pytest.approx(-np.log(mean) / alpha, rel=1e-4)
+    assert (found.rival_level[:, 0] < found.rival_level[:, 0].max() + 1e-6).all()
+    assert len(found.rival_level) == len(found.rival)
+
+
+def test_views_that_can_be_read_once_only_are_refused() -> None:
+    with pytest.raises(ValueError, match="views: expected a list or the like"):
+        measured_evidence(at(30, 20), iter([wall(0, {})]), NOWHERE)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import zarr
 
+from bask_data.core.calibration import Calibration
 from bask_data.core.tsdf import Mesh
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
@@ -53,3 +54,25 @@ def test_descriptors_that_are_not_finite(tmp_path: Path) -> None:
     ReferenceKeypoints.write(tmp_path, descriptors=np.full((1, 4), np.nan, dtype=np.float32), picks=[pick])
     with pytest.raises(BadData, match="descriptors: expected finite numbers"):
         _ = ReferenceKeypoints(tmp_path).descriptors
+
+
+def test_calibrations_are_read_as_written_and_are_missing_in_artifacts_without_one(tmp_path: Path) -> None:
+    pick = Pick(name="x", recording="a", camera="wrist", frame=0, u=0, v=0)
+    descriptors = np.zeros((1, 4), dtype=np.float32)
+    measured = Calibration(np.array([3.5]), np.array([0.25]), np.array([32.0]))
+    ReferenceKeypoints.write(tmp_path / "with", descriptors=descriptors, picks=[pick], calibration=measured)
+    ReferenceKeypoints.write(tmp_path / "without", descriptors=descriptors, picks=[pick])
+    found = ReferenceKeypoints(tmp_path / "with").calibration
+    assert found is not None
+    for name in ("alpha", "tau_ratio", "sharp_alpha"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(measured, name))
+    assert ReferenceKeypoints(tmp_path / "without").calibration is None
+
+
+def test_calibrations_that_are_not_positive(tmp_path: Path) -> None:
+    pick = Pick(name="x", recording="a", camera="wrist", frame=0, u=0, v=0)
+    wrong = Calibration(np.array([3.5]), np.array([0.0]), np.array([32.0]))
+    descriptors = np.zeros((1, 4), dtype=np.float32)
+    ReferenceKeypoints.write(tmp_path, descriptors=descriptors, picks=[pick], calibration=wrong)
+    with pytest.raises(BadData, match=r"tau_ratio: expected finite numbers above 0, got \[0.0\]"):
+        _ = ReferenceKeypoints(tmp_path).calibration

@@ -12,6 +12,7 @@ import pytest
 
 from bask_data import progress
 from bask_data.artifact import read_manifest
+from bask_data.core.calibration import Calibration
 from bask_data.core.filters.discrete import DiscreteSettings
 from bask_data.core.filters.particle.settings import ParticleSettings
 from bask_data.core.geometry import project
@@ -171,7 +172,7 @@ def test_what_a_track_depends_on_is_never_served_stale(tmp_path: Path) -> None:
         "tau_match": 0.2,
     }
     others |= {"n_particles": 100, "walk": 0.1, "walk_px": 2.0, "gripper_probability": 0.1, "gripper_reach": 1.0}
-    others |= {"dropout": 0.1, "seed": 5, "grid": (4, 4), "every": 2, "scale": 0.5}
+    others |= {"dropout": 0.1, "seed": 5, "grid": (4, 4), "every": 2, "scale": 0.5, "calibrated": False}
     assert {*others, "source"} == {*EncodeParams.model_fields}
     for name, value in others.items():
         assert state(**{name: value})[1].startswith(f"changed: {name} "), name
@@ -376,7 +377,33 @@ def test_it_tells_how_many_frames_a_second_it_did(tmp_path: Path) -> None:
     finally:
         progress.listen(None)
     assert ("tracking keypoints", N_FRAMES, N_FRAMES) in told
-    assert len(heard) == 1 and heard[0].startswith("12 frames of 1 camera in ") and heard[0].endswith(" a second")
+    assert heard[0] == "alpha 20"
+    assert len(heard) == 2 and heard[1].startswith("12 frames of 1 camera in ") and heard[1].endswith(" a second")
+
+
+def test_alpha_and_tau_are_those_measured_for_the_references_unless_told_otherwise(tmp_path: Path) -> None:
+    dataset, heard = dataset_of(tmp_path / "d", {"wrist": poses()}), []
+    before = tracked(dataset).log_evidence
+    reference = ReferenceKeypoints(dataset.path(ReferenceKeypoints))
+    picks, descriptors, k = reference.picks, reference.descriptors, len(reference.picks)
+    measured = Calibration(np.linspace(5.0, 6.0, k), np.full(k, 0.5), np.full(k, 32.0))
+    publish_artifact(
+        dataset,
+        ReferenceKeypoints,
+        "",
+        lambda out: ReferenceKeypoints.write(out, descriptors=descriptors, picks=picks, calibration=measured),
+    )
+    progress.listen(lambda *_: None, heard.append)
+    try:
+        after = tracked(dataset).log_evidence
+        without = tracked(dataset, calibrated=False).log_evidence
+    finally:
+        progress.listen(None)
+    assert not np.allclose(after, before)
+    np.testing.assert_array_equal(without, before)
+    assert heard[0].startswith("alpha 5 to 6 (measured), tau 0.5 (measured) times")
+    assert heard[2].startswith("alpha 2, tau 2 times")
+    assert settings_of(EncodeParams(settings="paper"), measured) == settings_of(EncodeParams(settings="paper"))
 
 
 # Truth ----------------------------------------------------------------------------------------------------------------

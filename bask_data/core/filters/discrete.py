@@ -20,7 +20,8 @@ from scipy.sparse import csr_array
 
 from bask_data.core.filters.heatmap import Lifted, fuse, keep_last, lift, unseen_likelihood
 from bask_data.core.filters.observation import Estimate, Motion, Observation, PixelMaps, n_keypoints
-from bask_data.core.filters.table import Filter, FilterSettings
+from bask_data.core.filters.per_keypoint import per_keypoint
+from bask_data.core.filters.table import Filter, FilterSettings, PerKeypoint
 from bask_data.core.geometry import in_image, invert_rigid, pixel_grid, project, scale_intrinsics, transform, unproject
 from bask_data.core.nearest_depth import fill_depth, shrink_depth
 
@@ -35,15 +36,15 @@ ASSUMED_DEPTH = 1e6
 class DiscreteSettings(FilterSettings):
     """Settings of the discrete filter. In the paper's, `tau`, `restart` and `gripper_probability` are zero."""
 
-    alpha: float = 4.0
+    alpha: PerKeypoint = 4.0
     """Temperature: a pixel at descriptor distance z has likelihood exp(-alpha z). The paper's."""
     walk_px: float = 1.0
     """Standard deviation of the random walk in one frame, pixels of the distance map. The authors' is 2."""
     grid: tuple[int, int] | None = None
     """Rows and columns of the belief; None: those of the distance map."""
-    tau: float | None = None
+    tau: PerKeypoint | None = None
     """Likelihood of any image if the keypoint is outside of it; None: `unseen_likelihood` of each image."""
-    tau_ratio: float = 2.0
+    tau_ratio: PerKeypoint = 2.0
     """Without `tau`: likelihood of an image if the keypoint is outside, over that at its average pixel."""
     outside_area: float = 1.0
     """Area around the image that a keypoint may be in, in images: the larger, the less mass returns as the view moves.
@@ -287,7 +288,8 @@ def _uniform(seen: Observation, shape: tuple[int, ...]) -> CameraBelief:
 
 def _on_grid(seen: Observation, settings: DiscreteSettings) -> tuple[Observation, Float[ndarray, "k h w"]]:
     """Depth and intrinsics at the resolution of the belief, and the mean likelihood exp(-alpha z) of each cell."""
-    likelihood = np.exp(-settings.alpha * seen.distance, dtype=np.float64)
+    alpha = per_keypoint(settings.alpha, len(seen.distance), "alpha").astype(seen.distance.dtype)
+    likelihood = np.exp(-alpha[:, None, None] * seen.distance, dtype=np.float64)
     if settings.grid is not None and settings.grid != likelihood.shape[1:]:
         height, width = settings.grid
         shrinks = height <= likelihood.shape[1] and width <= likelihood.shape[2]

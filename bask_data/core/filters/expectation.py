@@ -9,14 +9,14 @@ from numpy.random import Generator
 
 from bask_data.core.filters.heatmap import Lifted, fuse, keep_last, lift, softmax_map
 from bask_data.core.filters.observation import Estimate, Motion, Observation, PixelMaps, fitted, n_keypoints
-from bask_data.core.filters.table import Filter, FilterSettings
+from bask_data.core.filters.table import Filter, FilterSettings, PerKeypoint
 
 
 @dataclass(frozen=True)
 class ExpectationSettings(FilterSettings):
     """Settings of the estimate from single frames. The paper's alpha is 4."""
 
-    alpha: float = 20.0
+    alpha: PerKeypoint = 20.0
     """Temperature: a pixel at descriptor distance z has weight exp(-alpha z). With a lower one, the many pixels of
     background outweigh the match."""
 

@@ -10,6 +10,8 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from bask_data.core.filters.observation import Estimate, Observation, nothing_known, projections
+from bask_data.core.filters.per_keypoint import per_keypoint
+from bask_data.core.filters.table import PerKeypoint
 from bask_data.core.geometry import pixel_grid, transform, unproject
 from bask_data.core.nearest_depth import fill_depth
 
@@ -30,20 +32,23 @@ POSITION_VARIANCE = 1e-6
 sensitivity not measured."""
 
 
-def softmax_map(distance: Float[ndarray, "k h w"], alpha: float) -> tuple[Float[ndarray, "k h w"], Float[ndarray, "k"]]:
+def softmax_map(
+    distance: Float[ndarray, "k h w"], alpha: PerKeypoint
+) -> tuple[Float[ndarray, "k h w"], Float[ndarray, "k"]]:
     """The heat map softmax(-alpha z) over all pixels, and the log of the mean of exp(-alpha z).
 
     Source: von Hartz et al. 2023, Sec. III-A.3.
     """
     nearest = distance.min(axis=(1, 2))
-    heat = np.exp(-alpha * (distance - nearest[:, None, None]), dtype=np.float64)
+    each = per_keypoint(alpha, len(distance), "alpha")
+    heat = np.exp(-each.astype(distance.dtype)[:, None, None] * (distance - nearest[:, None, None]), dtype=np.float64)
     total = heat.sum(axis=(1, 2))
     heat /= total[:, None, None]
-    return heat, np.log(total / distance[0].size) - alpha * nearest.astype(np.float64)
+    return heat, np.log(total / distance[0].size) - each * nearest.astype(np.float64)
 
 
 def unseen_likelihood(
-    distance: Float[ndarray, "k h w"], alpha: float, tau: float | None, ratio: float
+    distance: Float[ndarray, "k h w"], alpha: PerKeypoint, tau: PerKeypoint | None, ratio: PerKeypoint
 ) -> Float[ndarray, "k"]:
     """tau of each keypoint: the likelihood of an image that does not show it; `tau` itself unless it is None.
 
@@ -59,9 +64,11 @@ def unseen_likelihood(
         ratio: the multiple.
     """
     if tau is not None:
-        return np.full(len(distance), tau)
-    mean = np.exp(-alpha * distance[:, ::TAU_STRIDE, ::TAU_STRIDE]).mean(axis=(1, 2))
-    return np.clip(ratio * mean, np.finfo(np.float32).tiny, TAU_MOST).astype(np.float64)
+        return per_keypoint(tau, len(distance), "tau")
+    each = per_keypoint(alpha, len(distance), "alpha").astype(distance.dtype)
+    mean = np.exp(-each[:, None, None] * distance[:, ::TAU_STRIDE, ::TAU_STRIDE]).mean(axis=(1, 2))
+    ratios = per_keypoint(ratio, len(distance), "tau_ratio").astype(mean.dtype)
+    return np.clip(ratios * mean, np.finfo(np.float32).tiny, TAU_MOST).astype(np.float64)
 
 
 @dataclass(frozen=True)

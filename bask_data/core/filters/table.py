@@ -15,6 +15,10 @@ SettingsName = Literal["default", "paper", "code"]
 """Our own settings, those of von Hartz et al. 2023, and those of its authors' published code."""
 
 
+PerKeypoint = float | tuple[float, ...]
+"""A setting that is the same for all keypoints, or one value for each."""
+
+
 @dataclass(frozen=True)
 class FilterSettings:
     """Base of the settings of every filter; their type identifies the filter."""
@@ -30,6 +34,7 @@ class Filter:
         step: `(belief, observations, motion, rng, settings) -> (belief, Estimate)`.
         hypotheses: `(belief, observations, settings) -> WeightedPoints | PixelMaps`: the belief for a picture.
         presets: by name, the settings that differ from the defaults.
+        if_calibrated: settings that differ from the defaults where alpha and tau were measured.
         by_single_frames: whether it takes each frame by itself: the baseline of every other filter.
         alpha_is_of_one_frame: whether its setting `alpha` is the temperature of a single frame's heat map. False for a
             filter whose `alpha` is chosen for many frames together.
@@ -40,6 +45,7 @@ class Filter:
     step: Callable[..., tuple[Any, Any]]
     hypotheses: Callable[..., Any]
     presets: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: MappingProxyType({}))
+    if_calibrated: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     by_single_frames: bool = False
     alpha_is_of_one_frame: bool = True
 

@@ -20,7 +20,7 @@ from bask_data.core.filters.particle.estimate import estimate_of
 from bask_data.core.filters.particle.likelihood import frame_likelihood
 from bask_data.core.filters.particle.motion import move
 from bask_data.core.filters.particle.resample import refresh
-from bask_data.core.filters.particle.settings import PRESETS, ParticleSettings
+from bask_data.core.filters.particle.settings import IF_CALIBRATED, PRESETS, ParticleSettings
 from bask_data.core.filters.table import Filter
 
 _OWN = ParticleSettings()
@@ -79,5 +79,6 @@ FILTER = Filter(
     step=particle_step,
     hypotheses=weighted_particles,
     presets=PRESETS,
+    if_calibrated=IF_CALIBRATED,
     alpha_is_of_one_frame=False,
 )

@@ -15,6 +15,7 @@ from bask_data.core.filters.observation import Observation
 from bask_data.core.filters.particle.belief import ParticleBelief, new_belief, normalised
 from bask_data.core.filters.particle.likelihood import FrameLikelihood, frame_likelihood
 from bask_data.core.filters.particle.settings import ParticleSettings
+from bask_data.core.filters.per_keypoint import per_keypoint
 from bask_data.core.geometry import transform, unproject
 from bask_data.core.nearest_depth import shrink_depth
 
@@ -45,8 +46,9 @@ def draw(seen: Observation, n: int, rng: Generator, settings: ParticleSettings, 
     else:
         v, u = np.nonzero(depth > 0)
     z = seen.distance[:, v, u]
-    alpha = settings.draw_sharpness * settings.alpha
-    total = np.cumsum(np.exp(-alpha * (z - z.min(axis=1, keepdims=True)), dtype=np.float64), axis=1)
+    alpha = per_keypoint(settings.alpha, len(z), "alpha").astype(z.dtype)[:, None]
+    sharp = settings.draw_sharpness * alpha
+    total = np.cumsum(np.exp(-sharp * (z - z.min(axis=1, keepdims=True)), dtype=np.float64), axis=1)
     at = (np.arange(n) + rng.random(n)) / n
     chosen = np.stack([np.searchsorted(row, at * row[-1], side="right") for row in total]).clip(max=len(v) - 1)
     scale = np.array([seen.depth.shape[1] / width, seen.depth.shape[0] / height])
@@ -54,7 +56,7 @@ def draw(seen: Observation, n: int, rng: Generator, settings: ParticleSettings, 
     z_d = depth[v[chosen], u[chosen]].astype(np.float64)
     z_d = z_d + rng.standard_normal(n) * (settings.depth_noise * z_d + settings.depth_noise_floor)
     points = transform(seen.world_from_camera, unproject((cell + 0.5) * scale - 0.5, z_d, seen.K))
-    return DrawnPoints(points, np.exp(-settings.alpha * np.take_along_axis(z, chosen, axis=1), dtype=np.float64))
+    return DrawnPoints(points, np.exp(-alpha * np.take_along_axis(z, chosen, axis=1), dtype=np.float64))
 
 
 def first_particles(

@@ -13,6 +13,7 @@ from bask_data.core.compiled import compiled
 from bask_data.core.filters.heatmap import TAU_MOST, unseen_likelihood
 from bask_data.core.filters.observation import Observation
 from bask_data.core.filters.particle.settings import ParticleSettings
+from bask_data.core.filters.per_keypoint import per_keypoint
 
 LEAST_LIKELIHOOD = 1e-30
 """Lower bound of a likelihood, so that weights can be normalised even if no particle explains the frame."""
@@ -59,16 +60,17 @@ def frame_likelihood(
     tau = unseen_likelihood(seen.distance, settings.alpha, settings.tau, settings.tau_ratio)
     if settings.tau is None:
         tau = np.maximum(tau, np.minimum(settings.tau_match * usual_match, TAU_MOST))
+    alpha = np.ascontiguousarray(per_keypoint(settings.alpha, len(points_world), "alpha"))
     model = np.array(
         [
-            settings.alpha,
             settings.depth_noise,
             settings.depth_noise_floor,
             settings.occlusion_margin,
             settings.hidden_without_depth,
         ]
     )
-    total, part = _likelihoods(points_world, seen.distance, seen.depth, seen.K, seen.world_from_camera, tau, model)
+    camera = seen.distance, seen.depth, seen.K, seen.world_from_camera
+    total, part = _likelihoods(points_world, *camera, np.array(tau), alpha, model)
     return FrameLikelihood(total, part, tau)
 
 
@@ -80,19 +82,20 @@ def _likelihoods(
     K: ndarray,
     world_from_camera: ndarray,
     tau: ndarray,
+    alpha: ndarray,
     model: ndarray,
 ) -> tuple[ndarray, ndarray]:
     """`likelihood` and `seen` of `FrameLikelihood`. A particle's depth is that of the nearest pixel, its distance is
     interpolated between four.
 
     Args:
-        model: alpha, depth noise as a share of depth, its floor, eps and p_o without depth.
+        model: depth noise as a share of depth, its floor, eps and p_o without depth.
     """
     rotation, position = world_from_camera[:3, :3], world_from_camera[:3, 3]
     total, part = np.empty(points_world.shape[:2]), np.empty(points_world.shape[:2])
     height, width = depth.shape
     map_height, map_width = distance.shape[1:]
-    alpha, share, floor, margin, hidden = model
+    share, floor, margin, hidden = model
     scale_u, scale_v = map_width / width, map_height / height
     right, down = min(map_width - 1, 1), min(map_height - 1, 1)
     for i in range(points_world.shape[0]):
@@ -122,6 +125,6 @@ def _likelihoods(
             s, t = map_u - left, map_v - top
             upper = (1 - s) * distance[i, top, left] + s * distance[i, top, left + right]
             lower = (1 - s) * distance[i, top + down, left] + s * distance[i, top + down, left + right]
-            part[i, j] = (1.0 - p_o) * p_d * math.exp(-alpha * ((1 - t) * upper + t * lower))
+            part[i, j] = (1.0 - p_o) * p_d * math.exp(-alpha[i] * ((1 - t) * upper + t * lower))
             total[i, j] = max(p_o * tau[i] + part[i, j], LEAST_LIKELIHOOD)
     return total, part

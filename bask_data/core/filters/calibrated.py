@@ -1,0 +1,54 @@
+"""A filter's settings with the temperature and tau that were measured for the keypoints."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from bask_data.core.filters.table import FilterSettings, PerKeypoint, SettingsName, filter_named, settings_named
+
+if TYPE_CHECKING:
+    from bask_data.core.calibration import Calibration
+
+
+def calibrated_settings(
+    filter: str, calibration: Calibration | None, name: SettingsName = "default", **overrides: Any
+) -> FilterSettings:
+    """Settings of a filter as of `settings_named`, with alpha and tau of each keypoint as measured.
+
+    The presets `paper` and `code` and fields that are given take precedence. With alpha given and tau not, tau keeps
+    the distance at which a match is as likely at a rival as at the keypoint.
+
+    Args:
+        calibration: of the keypoints; None if nothing could be measured.
+        overrides: fields to change, except those that are None.
+    """
+    if calibration is None or name != "default":
+        return settings_named(filter, name, **overrides)
+    given = {field: value for field, value in overrides.items() if value is not None}
+    found = filter_named(filter)
+    if found.by_single_frames:
+        return settings_named(filter, name, **{"alpha": tuple(calibration.sharp_alpha.tolist()), **given})
+    alpha, ratio = calibration.alpha.tolist(), calibration.tau_ratio.tolist()
+    if "alpha" in given:
+        ratio = [one ** (given["alpha"] / own) for one, own in zip(ratio, alpha, strict=True)]
+    measured = {"alpha": tuple(alpha), "tau_ratio": tuple(ratio)}
+    return settings_named(filter, name, **{**found.if_calibrated, **measured, **given})
+
+
+def likelihood_text(settings: FilterSettings) -> str:
+    """The settings of a filter's likelihood in a line; empty without any."""
+    alpha, tau, ratio = (getattr(settings, name, None) for name in ("alpha", "tau", "tau_ratio"))
+    parts = [] if alpha is None else [f"alpha {_range(alpha)}"]
+    if tau is not None:
+        parts.append(f"tau {_range(tau)}")
+    elif ratio is not None:
+        parts.append(f"tau {_range(ratio)} times the likelihood of an image's average pixel")
+    return ", ".join(parts)
+
+
+def _range(value: PerKeypoint) -> str:
+    """A setting in words."""
+    if not isinstance(value, tuple):
+        return f"{value:.2g}"
+    least, most = f"{min(value):.2g}", f"{max(value):.2g}"
+    return f"{least if least == most else f'{least} to {most}'} (measured)"
