@@ -95,6 +95,13 @@ def _plain(values: np.ndarray) -> list[float | None]:
 # Text -----------------------------------------------------------------------------------------------------------------
 
 
+OF_COLUMNS = (
+    "sigma: share of true positions in these ellipsoids of the covariance; error: mean |measured - nominal| share",
+    "  over nominal 5 to 95 %, also by visibility; localised, observed: precision / recall against visibility",
+)
+"""Explanation of the columns, once for all tables."""
+
+
 def certainty_lines(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     """A head, and for each method a line with its calibration and its claims.
 
@@ -120,8 +127,6 @@ def certainty_lines(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
         yield f"    {method:<34}{cells}" + "".join(f"{pair:>22}" for pair in pairs)
     calibrated = [*chi_square_share(np.square(SIGMAS, dtype=np.float64)).tolist(), *[0.0] * (1 + len(OF_CERTAINTY))]
     yield f"    {'a calibrated belief':<34}" + "".join(f"{_percent(share):>13}" for share in calibrated)
-    yield "sigma: share of true positions in these ellipsoids of the covariance; error: mean |measured - nominal| share"
-    yield "  over nominal 5 to 95 %, also by visibility; localised, observed: precision / recall against visibility"
 
 
 def _percent(share: float | None) -> str:

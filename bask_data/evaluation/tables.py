@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from bask_data.evaluation.certainty import certainty_lines
+from bask_data.evaluation.certainty import OF_COLUMNS, certainty_lines
 from bask_data.evaluation.study_comparisons import comparison_lines
 from bask_data.spelling import number_of
 
@@ -133,6 +133,7 @@ def keypoint_tables(result: dict[str, Any]) -> Iterator[str]:
         yield "all objects"
         yield from comparison_lines(result["comparisons"])
     yield "mode: mean distance of the belief's mode to ground truth; apart: to its mean, large for ambiguous keypoints"
+    yield from OF_COLUMNS
     yield "[,]: 95 % interval of the difference, from resampled demonstrations; one that holds zero shows no difference"
 
 
