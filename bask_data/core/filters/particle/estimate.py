@@ -61,12 +61,27 @@ def mode(points: Float[ndarray, "k n 3"], weight: Float[ndarray, "k n"], radius:
     """
     centres = np.stack([own[stratified(w, np.full(N_MODES, 0.5))] for own, w in zip(points, weight, strict=True)])
     centre = centres[np.arange(len(points)), _mass_around(centres, points, weight, radius).argmax(axis=1)]
-    for _ in range(3):
-        away = points - centre[:, None]
-        inside = (np.einsum("kni,kni->kn", away, away) < radius**2) * weight
-        total = inside.sum(axis=1)[:, None]
-        centre = np.where(total > 0, np.einsum("kn,kni->ki", inside, points) / np.where(total > 0, total, 1.0), centre)
-    return centre
+    return _refined(centre, points, weight, radius)
+
+
+@compiled
+def _refined(centres: ndarray, points: ndarray, weight: ndarray, radius: float) -> ndarray:
+    """Means of the balls (k, 3), moved to them three times; a ball without weight stays."""
+    refined = centres.copy()
+    for k in range(centres.shape[0]):
+        for _ in range(3):
+            total, u, v, w = 0.0, 0.0, 0.0, 0.0
+            x, y, z = refined[k, 0], refined[k, 1], refined[k, 2]
+            for n in range(points.shape[1]):
+                a, b, d = points[k, n, 0] - x, points[k, n, 1] - y, points[k, n, 2] - z
+                if a * a + b * b + d * d < radius * radius:
+                    total += weight[k, n]
+                    u += weight[k, n] * a
+                    v += weight[k, n] * b
+                    w += weight[k, n] * d
+            if total > 0.0:
+                refined[k, 0], refined[k, 1], refined[k, 2] = x + u / total, y + v / total, z + w / total
+    return refined
 
 
 @compiled
