@@ -14,6 +14,7 @@ from bask_data.kinds.places import true_pixels
 from bask_data.observing import moment_of
 from bask_data.progress import progress
 from bask_data.stages.encode import cameras_of, grippers_of
+from bask_data.stages.keypoint_evidence import measured
 from bask_data.tracker import KeypointTracker, TrackedKeypoints
 
 if TYPE_CHECKING:
@@ -121,18 +122,32 @@ class Tracked:
 def references_of(
     dataset: Dataset, network: DescriptorNetwork, picks: Sequence[Pick], folder: Path
 ) -> ReferenceKeypoints:
-    """Reference keypoints with a network's descriptors of the picks."""
+    """Reference keypoints with a network's descriptors of the picks, and what these tell the filters, measured as
+    `reference` does."""
     import numpy as np
 
-    descriptors = []
+    descriptors, recordings = [], {}
     for pick in picks:
         picked_in = whole(dataset, pick.recording)
         assert picked_in is not None, "points are picked where there is ground truth"
+        recordings[pick.recording] = picked_in.recording
         image = picked_in.recording.camera(pick.camera).rgb(pick.frame)
         uv = np.array([[pick.u, pick.v]], dtype=np.float32)
         descriptors.append(network.descriptors_at(image, uv)[0].cpu().numpy())
-    ReferenceKeypoints.write(folder, descriptors=np.stack(descriptors), picks=list(picks))
+    calibration = measured(picks, np.stack(descriptors), recordings, network)
+    ReferenceKeypoints.write(folder, descriptors=np.stack(descriptors), picks=list(picks), calibration=calibration)
     return ReferenceKeypoints(folder)
+
+
+def settings_in(method: Method, reference: ReferenceKeypoints) -> FilterSettings:
+    """A method's settings: the defaults of a filter with alpha and tau as measured for the references, if they were."""
+    from bask_data.core.filters.calibrated import calibrated_settings
+    from bask_data.core.filters.table import filter_of, settings_named
+
+    by_single_frames = filter_of(method.settings).by_single_frames
+    if by_single_frames or method.settings != settings_named(method.belief):
+        return method.settings
+    return calibrated_settings(method.belief, reference.calibration)
 
 
 def tracked_in(
@@ -157,7 +172,7 @@ def tracked_in(
         method.name: KeypointTracker(
             networks[method.variant],
             references[method.variant],
-            method.settings,
+            settings_in(method, references[method.variant]),
             run.seed,
             cameras=tracked.cameras,
         )

@@ -195,8 +195,9 @@ def _spread_picks(objects: Sequence[str], one: Whole, camera: Camera, i_frame: i
         points = camera.points_world(i_frame, uv, depth[row, column])
         for i, chosen in enumerate(spread_out(points, np.zeros(len(uv)), min(wanted, len(uv)))):
             u, v = uv[chosen].tolist()
-            scan = one.recording.path.name
-            picks.append(Pick(name=f"{name}_{i}", recording=scan, camera=camera.name, frame=i_frame, u=u, v=v))
+            x, y, z = points[chosen].tolist()
+            where = {"recording": one.recording.path.name, "camera": camera.name, "frame": i_frame, "u": u, "v": v}
+            picks.append(Pick(name=f"{name}_{i}", point_world=(x, y, z), **where))
     return picks
 
 

@@ -10,13 +10,15 @@ import pytest
 from typer.testing import CliRunner
 
 from bask_data.cli.app import app
+from bask_data.core.calibration import Calibration
+from bask_data.core.filters.calibrated import calibrated_settings
 from bask_data.core.geometry import invert_rigid, project, transform
 from bask_data.dataset import Dataset, Splits
 from bask_data.engine import make, plan
 from bask_data.errors import BadData, UsageError
 from bask_data.evaluation import StudySettings, evaluated_keypoints
 from bask_data.evaluation.keypoint_study import FILE, is_current, plain_settings, save_study
-from bask_data.evaluation.study_tracks import methods_of
+from bask_data.evaluation.study_tracks import methods_of, settings_in
 from bask_data.evaluation.tables import keypoint_tables
 from bask_data.evaluation.tracked_points import ROUND, points_to_track, true_tracks
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Scan, Truth
@@ -138,6 +140,20 @@ def test_with_a_perfect_network_every_filter_is_accurate_while_it_sees(found: di
         assert methods[name]["error"]["visible"]["median"] < 0.01, name
     assert methods["blind: expectation"]["error"]["visible"]["median"] > 0.03
     assert methods["blind: expectation"]["apart"]["visible"]["mean"] > 0.03
+
+
+def test_filters_take_what_was_measured_for_the_references_and_presets_do_not(tmp_path: Path) -> None:
+    pick = Pick(name="x", recording="a", camera="wrist", frame=0, u=0, v=0)
+    measured = Calibration(np.array([3.0]), np.array([0.5]), np.array([32.0]))
+    ReferenceKeypoints.write(tmp_path, descriptors=np.zeros((1, 3), np.float32), picks=[pick], calibration=measured)
+    reference = ReferenceKeypoints(tmp_path)
+    for preset in ("default", "paper", "code"):
+        for method in methods_of({"main": 1.0}, preset):
+            taken = settings_in(method, reference)
+            if preset == "default" and method.belief in ("discrete", "particle"):
+                assert taken == calibrated_settings(method.belief, measured)
+            else:
+                assert taken == method.settings
 
 
 def test_the_temperature_is_that_of_distances_as_they_were_trained() -> None:
