@@ -4,12 +4,14 @@ The default network of `bask-data train`, and a ResNet-18, with the options that
 sides do not do the same work: a step is the network, the distance maps and the filter, in successive frames of which,
 with `every`, most do without the network. The last case of each network, folded against plain, is the same work.
 
-Steps a second, with two threads on two idle cores: `OMP_NUM_THREADS=2 python benchmarks/bench_tracker.py`.
+Steps a second, with two threads on two idle cores: `OMP_NUM_THREADS=2 python benchmarks/bench_tracker.py`, of one
+network `... bench_tracker.py "ResNet-18"`.
 """
 
 from __future__ import annotations
 
 import statistics
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -90,19 +92,22 @@ def _steps(
 
 
 def main() -> None:
-    """Print steps a second, medians of five rounds."""
+    """Print steps a second, and CPU time, which on a single thread depends little on other programs."""
+    networks = sys.argv[1:] or [*NETWORKS, *LARGE]
     with tempfile.TemporaryDirectory() as folder:
-        for name in NETWORKS | LARGE:
+        for name in networks:
             network, images = _network(name), _images()
             for option, given in OPTIONS.items():
                 steps = _steps(network, Path(folder) / f"{name}{option}", images, given)
                 steps()
-                rounds = []
+                rounds, cpu = [], []
                 for _ in range(5 if name in NETWORKS else 2):
-                    begun = time.perf_counter()
+                    begun, cpu_begun = time.perf_counter(), time.process_time()
                     steps()
                     rounds.append(time.perf_counter() - begun)
-                print(f"{name}, {option}: {N_FRAMES / statistics.median(rounds):.1f} steps a second", flush=True)
+                    cpu.append(time.process_time() - cpu_begun)
+                a_second, each = N_FRAMES / statistics.median(rounds), statistics.median(cpu) / N_FRAMES
+                print(f"{name}, {option}: {a_second:.1f} steps a second, {1000 * each:.0f} ms of CPU time", flush=True)
 
 
 if __name__ == "__main__":

@@ -16,10 +16,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("root", nargs="?", type=Path, default=Path("build/demo/dataset"))
     parser.add_argument("--out", type=Path, default=Path("track.jpg"))
+    parser.add_argument("--every", type=int, default=1, help="let the network see every so many-th frame only")
+    parser.add_argument("--scale", type=float, default=1.0, help="size of the network's images, as a share")
     arguments = parser.parse_args()
 
     ds = bask.open(arguments.root)
-    tracker = bask.KeypointTracker(ds.root / "descriptor" / "main", ds.root / "reference" / "main")
+    network, reference = ds.root / "descriptor" / "main", ds.root / "reference" / "main"
+    tracker = bask.KeypointTracker(network, reference, every=arguments.every, scale=arguments.scale)
     demonstration = next(iter(ds.demonstrations.values()))
     cameras = {name: demonstration.camera(name) for name in demonstration.cameras}
     grippers = demonstration.robot.world_from_gripper if demonstration.robot else None

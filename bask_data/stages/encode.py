@@ -137,15 +137,17 @@ class EncodeParams(Params):
         None,
         ge=1,
         exclude_if=_is_none,
-        description="Only every so many-th frame of a camera goes through the network, which takes most of the time; "
-        "between them the belief follows the gripper. Cameras take turns. Default: every frame.",
+        description="Only every so many-th frame of a camera goes through the network, and counts twice; between them "
+        "the belief follows the gripper. Cameras take turns. With 2, tracks at 20 frames a second had 1.02 times the "
+        "error, 1.11 times on moving keypoints, and a ResNet took 0.56 times as long. Default: every frame.",
     )
     scale: float | None = Field(
         None,
         gt=0,
         le=1,
         exclude_if=_is_none,
-        description="Height of the network's input, as a share of the one it was trained for. Default: 1.",
+        description="Height of the network's input, as a share of the one it was trained for. With 0.5, tracks had "
+        "1.05 times the error, 1.10 times while visible, in a third of the time. Default: 1.",
     )
 
     @field_validator("grid")
