@@ -118,7 +118,7 @@ def chosen(
     steps.reach(STEPS_OF_OBJECT * len(instances) + steps_of_scan * len(others))
     picks, descriptors = [], []
     for instance, found, pool in zip(instances, candidates, pools, strict=True):
-        rows = spread_out(found.points_world, -pool.compared, n_of[instance])
+        rows = spread_out(found.points_world, -pool.ranks.astype(float), n_of[instance])
         for i, row in enumerate(rows):
             more = {"recording": scene, "instance": instance, "recognition": pool.recognition(int(row), scene)}
             picks.append(found.pick(int(row), f"object_{instance}_{i}", **more))

@@ -42,8 +42,7 @@ class Pool:
         points_world: (k, 3) metres, in the scan they are picked in.
         own: sightings in other frames of that scan, where the true places are known.
         scans: other scans in which the object was recognised.
-        others: sightings in them, from the object's place there.
-        agreeing: sightings in them, from the place that most views agree on for each candidate by itself.
+        others: sightings in them.
     """
 
     points_world: np.ndarray
@@ -51,7 +50,6 @@ class Pool:
     own: Sightings
     scans: list[str] = field(default_factory=list)
     others: list[Sightings] = field(default_factory=list)
-    agreeing: list[Sightings] = field(default_factory=list)
 
     @property
     def sightings(self) -> Sightings:
@@ -59,12 +57,18 @@ class Pool:
         return joined(self.others, len(self.points_world)) if self.others else self.own
 
     @property
-    def compared(self) -> np.ndarray:
-        """(k,) errors to compare candidates by, metres, of all frames; infinite if no frame shows a candidate."""
+    def ranks(self) -> np.ndarray:
+        """(k,) ranks of the candidates by their errors in their own scan plus those by their errors in others.
+
+        Ranks, as errors in two places differ in size. In its own scan, true places are known exactly; other scans
+        show what was not learned. Together they choose better than either alone.
+        """
         import numpy as np
 
-        error = joined([self.own, *self.agreeing], len(self.points_world)).expected_error
-        return np.where(np.isfinite(error), error, np.inf)
+        k = len(self.points_world)
+        errors = [seen.expected_error for seen in (self.own, joined(self.others, k))]
+        # Equal errors share a rank. NaN, of candidates that no frame shows, is sorted to the end.
+        return sum((np.unique(error, return_inverse=True)[1] for error in errors), np.zeros(k, int))
 
     def recognition(self, row: int, scene: str) -> Recognition | None:
         """What is stored of a candidate; None if it was searched in no frame that shows it.
@@ -108,20 +112,16 @@ def search(
             found = elsewhere(pool, views, seed) if len(views) > 1 else None
             if found is not None:
                 pool.scans.append(name)
-                pool.others.append(found[0])
-                pool.agreeing.append(found[1])
+                pool.others.append(found)
         yield
 
 
-def elsewhere(pool: Pool, views: Sequence[SelectionView], seed: int) -> tuple[Sightings, Sightings] | None:
+def elsewhere(pool: Pool, views: Sequence[SelectionView], seed: int) -> Sightings | None:
     """Sightings of an object's candidates in another scan; None if the object is not recognised there.
 
     Views that agree can agree on the wrong place. The object is rigid: its true places follow from the motion that
-    takes most candidates to where they are found. Of an object that can be turned without a change, that motion is
-    one of several, so the places that views agree on are the better measure for comparing its points.
-
-    Returns:
-        sightings from the places by that motion, and from the agreed places.
+    takes most candidates to where they are found. (Of an object that can be turned without a change, it is one of
+    several.)
     """
     import numpy as np
 
@@ -138,7 +138,7 @@ def elsewhere(pool: Pool, views: Sequence[SelectionView], seed: int) -> tuple[Si
     here_from_there, inliers = robust_rigid_fit(pool.points_world[reliable], places[reliable], NEAR, rng)
     if inliers.sum() < max(LEAST_ALIGNED, LEAST_SHARE_ALIGNED * len(pool.points_world)):
         return None
-    return found.sightings(transform(here_from_there, pool.points_world)), found.sightings(places)
+    return found.sightings(transform(here_from_there, pool.points_world))
 
 
 def in_own_scan(
