@@ -23,7 +23,7 @@ both. Chosen; sensitivity not measured."""
 TIE = 0.05
 """Places match equally well if their descriptor distances differ by at most this share of the contrast, which is the
 image's median distance less its smallest. A share, as networks differ in scale. Chosen on five simulated objects of
-which the network confuses parts (decision 49): 0.02 misses most of what is symmetric, 0.1 also calls half of the points
+which the network confuses parts (decision 54): 0.02 misses most of what is symmetric, 0.1 also calls half of the points
 of a crumpled paper ambiguous, 0.2 nearly everything."""
 
 

@@ -151,7 +151,7 @@ def ambiguous(picks: Sequence[Pick]) -> list[str]:
 
 def recognition_lines(picks: Sequence[Pick]) -> list[str]:
     """How well keypoints are recognised, for people: the expected error of each, then those that are ambiguous."""
-    lines = [f"{pick.name}: {_in_words(pick.recognition)}" for pick in picks]
+    lines = [f"{pick.name}: {_in_words(pick)}" for pick in picks]
     if unsure := ambiguous(picks):
         lines.append(
             f"ambiguous, as several places look the same: {', '.join(unsure)}.  fix: pick others with --pick, or "
@@ -160,10 +160,12 @@ def recognition_lines(picks: Sequence[Pick]) -> list[str]:
     return lines
 
 
-def _in_words(known: Recognition | None) -> str:
+def _in_words(pick: Pick) -> str:
+    known = pick.recognition
     if known is None:
         return "expected error not measured, as no other frame of a scan shows it"
+    own = ", its own scan: expect more in others" if known.scans == (pick.recording,) else ""
     return (
         f"expected error {1000 * known.error:.0f} mm, found within 20 mm in {known.share_found:.0%} of "
-        f"{known.n_frames} frames of {', '.join(known.scans)}{'; ambiguous' if known.is_ambiguous else ''}"
+        f"{known.n_frames} frames of {', '.join(known.scans)}{own}{'; ambiguous' if known.is_ambiguous else ''}"
     )
