@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
     from bask_data.core.calibration import Calibration
 
+LARGEST_MEASURED = 1e6
+"""Largest alpha and tau ratio that are read: with it, single precision overflows nowhere. `reference` measures at most
+64."""
+
 
 class Recognition(Metadata):
     """How well a network recognises a keypoint, frame by frame, measured before any demonstration is encoded.
@@ -105,19 +109,20 @@ class ReferenceKeypoints(Artifact):
         """Temperature and tau as measured; None where nothing could be measured, and in artifacts from before.
 
         Raises:
-            BadData: a value is not finite and positive.
+            BadData: there is not one positive number, of at most `LARGEST_MEASURED`, for each keypoint.
         """
-        import numpy as np
-
         from bask_data.core.calibration import Calibration
 
         if "tau_ratio" not in self.group:
             return None
         values = {name: read_all(self.group, name, self.path) for name in ("alpha", "tau_ratio", "sharp_alpha")}
+        k = len(self.picks)
         for name, value in values.items():
-            if not (np.isfinite(value) & (value > 0)).all():
-                expected = "finite numbers above 0"
-                raise BadData(self.path, name, expected=expected, got=str(value.tolist()), fix=REMAKE)
+            is_shaped = value.shape == (k,) and value.dtype.kind == "f"
+            if not is_shaped or not ((value > 0) & (value <= LARGEST_MEASURED)).all():
+                expected = f"{k} numbers above 0, at most {LARGEST_MEASURED:g}"
+                got = str(value.tolist()) if is_shaped else f"{value.shape} {value.dtype}"
+                raise BadData(self.path, name, expected=expected, got=got, fix=REMAKE)
         return Calibration(**values)
 
     @property

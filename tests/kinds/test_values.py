@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -69,10 +70,21 @@ def test_calibrations_are_read_as_written_and_are_missing_in_artifacts_without_o
     assert ReferenceKeypoints(tmp_path / "without").calibration is None
 
 
-def test_calibrations_that_are_not_positive(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("ratio", "got"),
+    [
+        ([0.0], r"\[0.0\]"),
+        ([-1.0], r"\[-1.0\]"),
+        ([math.nan], r"\[nan\]"),
+        ([math.inf], r"\[inf\]"),
+        ([1e300], r"\[1e\+300\]"),
+        ([0.5, 0.5], r"\(2,\) float64"),
+    ],
+)
+def test_calibrations_that_no_filter_can_compute_with(tmp_path: Path, ratio: list[float], got: str) -> None:
     pick = Pick(name="x", recording="a", camera="wrist", frame=0, u=0, v=0)
-    wrong = Calibration(np.array([3.5]), np.array([0.0]), np.array([32.0]))
+    wrong = Calibration(np.full(len(ratio), 3.5), np.array(ratio), np.full(len(ratio), 32.0))
     descriptors = np.zeros((1, 4), dtype=np.float32)
     ReferenceKeypoints.write(tmp_path, descriptors=descriptors, picks=[pick], calibration=wrong)
-    with pytest.raises(BadData, match=r"tau_ratio: expected finite numbers above 0, got \[0.0\]"):
+    with pytest.raises(BadData, match=rf"expected 1 numbers above 0, at most 1e\+06, got {got}"):
         _ = ReferenceKeypoints(tmp_path).calibration
