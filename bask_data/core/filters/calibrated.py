@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 from bask_data.core.filters.table import FilterSettings, PerKeypoint, SettingsName, filter_named, settings_named
 
 if TYPE_CHECKING:
     from bask_data.core.calibration import Calibration
+
+MOST_LOG_RATIO = 80.0
+"""Largest natural logarithm of `tau_ratio`: its exponential is finite in single precision. Filters bound tau at
+`TAU_MOST` long before, so that another value changes nothing."""
 
 
 def calibrated_settings(
@@ -30,7 +35,8 @@ def calibrated_settings(
         return settings_named(filter, name, **{"alpha": tuple(calibration.sharp_alpha.tolist()), **given})
     alpha, ratio = calibration.alpha.tolist(), calibration.tau_ratio.tolist()
     if "alpha" in given:
-        ratio = [one ** (given["alpha"] / own) for one, own in zip(ratio, alpha, strict=True)]
+        logs = [math.log(one) * given["alpha"] / own for one, own in zip(ratio, alpha, strict=True)]
+        ratio = [math.exp(min(one, MOST_LOG_RATIO)) for one in logs]
     measured = {"alpha": tuple(alpha), "tau_ratio": tuple(ratio)}
     return settings_named(filter, name, **{**found.if_calibrated, **measured, **given})
 

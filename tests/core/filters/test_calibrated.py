@@ -5,6 +5,7 @@ import pytest
 
 from bask_data.core.calibration import Calibration
 from bask_data.core.filters.calibrated import calibrated_settings, likelihood_text
+from bask_data.core.filters.heatmap import unseen_likelihood
 from bask_data.core.filters.particle.settings import ParticleSettings
 from bask_data.core.filters.table import FILTERS, settings_named
 
@@ -40,6 +41,15 @@ def test_with_another_alpha_tau_is_the_likelihood_at_the_same_distance() -> None
     assert isinstance(given, ParticleSettings)
     assert given.alpha == 4.0
     assert given.tau_ratio == pytest.approx((0.25, 2.0))
+
+
+@pytest.mark.parametrize("alpha", [1e-3, 1e5])
+def test_an_extreme_alpha_leaves_tau_a_number(alpha: float) -> None:
+    given = calibrated_settings("particle", MEASURED, alpha=alpha)
+    distance = np.linspace(0.1, 1.0, 32, dtype=np.float32).reshape(2, 4, 4)
+    assert isinstance(given, ParticleSettings)
+    tau = unseen_likelihood(distance, given.alpha, given.tau, given.tau_ratio)
+    assert ((tau > 0) & (tau < 1)).all()
 
 
 def test_the_text_says_what_is_used_and_whether_it_was_measured() -> None:
