@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import bask_data
+from bask_data.core.calibration import Calibration
+from bask_data.core.filters.calibrated import calibrated_settings
 from bask_data.core.filters.particle.settings import ParticleSettings
 from bask_data.core.filters.table import FilterSettings, settings_named
 from bask_data.errors import BadData
@@ -130,6 +132,23 @@ def test_a_tracker_with_a_network_agrees_with_encode(tmp_path: Path, demonstrati
 
 
 # By itself ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_tracker_without_settings_takes_alpha_and_tau_as_measured(
+    tmp_path: Path, demonstration: Demonstration, reference: ReferenceKeypoints
+) -> None:
+    k = len(reference.picks)
+    measured = Calibration(np.linspace(5.0, 6.0, k), np.full(k, 0.5), np.full(k, 32.0))
+    ReferenceKeypoints.write(
+        tmp_path / "r", descriptors=reference.descriptors, picks=reference.picks, calibration=measured
+    )
+    own, given, plain = (
+        KeypointTracker(ColourNetwork(), ReferenceKeypoints(tmp_path / "r"), settings)
+        for settings in (None, calibrated_settings("particle", measured), settings_named("particle"))
+    )
+    found = stepped(own, demonstration, 0, ["side"])
+    same(found, stepped(given, demonstration, 0, ["side"]))
+    assert not np.allclose(found.log_evidence, stepped(plain, demonstration, 0, ["side"]).log_evidence)
 
 
 def test_the_package_exports_the_tracker_and_loads_it_lazily() -> None:
