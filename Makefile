@@ -49,6 +49,7 @@ check: setup docs
 	$(VENV)/mypy
 	$(VENV)/lint-imports
 	$(VENV)/python .ci/structure.py
+	$(VENV)/python benchmarks/keypoint_sets.py
 	$(VENV)/python -m bask_data.schemas --check
 	$(VENV)/python -m tests.cli.help_texts --check
 	@set -e; for file in $(wildcard pipelines/*/dataset.json); do \
