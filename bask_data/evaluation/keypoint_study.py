@@ -116,7 +116,10 @@ def evaluated_keypoints(
             }
             for method in methods
         ],
-        "margins": {name: _margins(dataset, name, unit) for name, unit in units.items()},
+        "margins": {
+            name: margin_distances(_trained_with(dataset, name), network.settings.descriptor_dim)
+            for name, network in networks.items()
+        },
         "measured_with": _digests(dataset, variants, [name for names in groups.values() for name in names]),
         "groups": figures,
         "comparisons": comparisons(all_tracks, methods, settings.seed),
@@ -143,16 +146,33 @@ def is_current(dataset: Dataset, result: Mapping[str, Any]) -> bool:
 
 def _unit(dataset: Dataset, variant: str, network: DescriptorNetwork) -> float:
     """Unit of a network's training distances: 1, or 1 / sqrt(D) if they were not divided by sqrt(D)."""
-    params = DescriptorNet(dataset.path(DescriptorNet, variant=variant)).manifest.params
+    params = _trained_with(dataset, variant)
     return 1.0 if params.get("normalised", True) else float(network.settings.descriptor_dim) ** -0.5
 
 
-def _margins(dataset: Dataset, variant: str, unit: float) -> dict[str, float] | None:
-    """Margins of the contrastive loss, as descriptor distances of the filters; None for other losses."""
-    params = DescriptorNet(dataset.path(DescriptorNet, variant=variant)).manifest.params
+def _trained_with(dataset: Dataset, variant: str) -> Mapping[str, Any]:
+    return DescriptorNet(dataset.path(DescriptorNet, variant=variant)).manifest.params
+
+
+def margin_distances(params: Mapping[str, Any], dimension: int) -> dict[str, float] | None:
+    """Descriptor distances of the filters from which on the contrastive loss leaves non-matches alone, by where these
+    are; None for other losses.
+
+    Args:
+        params: of the training.
+        dimension: of the descriptors.
+    """
     if params.get("loss") != "contrastive":
         return None
-    return {name: unit * float(params[f"margin_{name}"]) for name in ("foreground", "background")}
+    found = {}
+    for where in ("foreground", "background"):
+        margin = float(params[f"margin_{where}"])
+        # The hinge of the squared distance ends at the margin's root.
+        distance = math.sqrt(margin) if params.get("hinge", "squared") == "squared" else margin
+        is_divided = where == "foreground" or params.get("background_normalised", True)
+        is_divided = is_divided and params.get("normalised", True)
+        found[where] = distance if is_divided else distance / math.sqrt(dimension)
+    return found
 
 
 def _digests(dataset: Dataset, variants: Sequence[str], demonstrations: Sequence[str]) -> dict[str, str]:

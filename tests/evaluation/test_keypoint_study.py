@@ -3,10 +3,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import torch
 from typer.testing import CliRunner
 
 from bask_data.cli.app import app
@@ -17,12 +19,13 @@ from bask_data.dataset import Dataset, Splits
 from bask_data.engine import make, plan
 from bask_data.errors import BadData, UsageError
 from bask_data.evaluation import StudySettings, evaluated_keypoints
-from bask_data.evaluation.keypoint_study import FILE, is_current, plain_settings, save_study
+from bask_data.evaluation.keypoint_study import FILE, is_current, margin_distances, plain_settings, save_study
 from bask_data.evaluation.study_tracks import methods_of, settings_in
 from bask_data.evaluation.tables import keypoint_tables
 from bask_data.evaluation.tracked_points import ROUND, points_to_track, true_tracks
 from bask_data.kinds import Demonstration, DescriptorNet, KeypointTrack, Pick, ReferenceKeypoints, Scan, Truth
 from bask_data.kinds.truth import TruthMetadata
+from bask_data.nn.loss import ContrastiveSettings, contrastive
 from bask_data.report.study_figure import write_pictures
 from bask_data.report.study_style import method_colours
 from bask_data.stages.encode import encode
@@ -429,3 +432,32 @@ def test_the_command_prints_and_saves_the_study(studied: Dataset, tmp_path: Path
     assert of_certainty.split()[5] == f"{100 * certainty['coverage']['all']['calibration_error']:.1f}"
     assert line.split()[2] == f"{1000 * particle:.0f}"
     assert f"next: bask-data report {studied.root}" in answer.stderr
+
+
+@pytest.mark.parametrize(
+    ("params", "expected"),
+    [
+        ({"hinge": "squared"}, {"foreground": 0.5, "background": 0.9}),
+        ({"hinge": "plain"}, {"foreground": 0.25, "background": 0.81}),
+        ({"hinge": "plain", "background_normalised": False}, {"foreground": 0.25, "background": 0.81 / 8}),
+        ({"hinge": "plain", "normalised": False}, {"foreground": 0.25 / 8, "background": 0.81 / 8}),
+    ],
+)
+def test_beyond_the_margins_a_non_match_costs_nothing(params: dict[str, Any], expected: dict[str, float]) -> None:
+    margins = {"margin_foreground": 0.25, "margin_background": 0.81}
+    found = margin_distances({"loss": "contrastive", **margins, **params}, dimension=64)
+    assert found == pytest.approx(expected)
+    for where, distance in expected.items():
+        settings = ContrastiveSettings(
+            **margins, **{"form" if name == "hinge" else name: params[name] for name in params}
+        )
+        is_foreground = torch.full((1, 1, 1), where == "foreground")
+        for factor, costs in ((0.999, True), (1.001, False)):
+            apart = torch.full((1, 1, 1, 64), factor * distance, dtype=torch.float64)
+            a = torch.zeros(1, 1, 64, dtype=torch.float64)
+            loss = contrastive(a, a, apart, is_foreground, torch.ones(1, 1, 1, dtype=torch.bool), settings).loss
+            assert (loss > 0) == costs
+
+
+def test_other_losses_have_no_margin() -> None:
+    assert margin_distances({"loss": "infonce"}, 64) is None
