@@ -126,7 +126,9 @@ def _fitted(
         true = evidence.true - _level(evidence.true_level, alpha)
         rival = evidence.rival - _level(evidence.rival_level, alpha)
         alpha, crossing = log_ratio(true, rival, true_weight, rival_weight, **bounds)
-    return alpha, float(min(np.exp(-alpha * crossing), MOST_TAU_RATIO))
+    # Below, a ratio is zero in single precision.
+    least = np.log(np.finfo(np.float32).tiny)
+    return alpha, float(np.exp(np.clip(-alpha * crossing, least, np.log(MOST_TAU_RATIO))))
 
 
 def _level(levels: Float[ndarray, "n a"], alpha: float) -> Float[ndarray, "n"]:

@@ -95,6 +95,14 @@ def test_a_measurement_lowers_tau_only_and_does_not_flatten_the_heat_maps() -> N
     assert found.tau_ratio == pytest.approx([MOST_TAU_RATIO])
 
 
+@pytest.mark.parametrize("z", [0.0, 1.0, 30.0])
+def test_a_ratio_is_positive_however_far_from_the_level_a_keypoint_matches(z: float) -> None:
+    found = calibrated(evidence({0: normal(z, 40, 0, 1e-3)}, {0: normal(z + 0.01, 40, 1, 1e-3)}, level=15.0), 1)
+    assert found is not None
+    assert (found.tau_ratio.astype(np.float32) > 0).all()
+    assert (found.tau_ratio <= MOST_TAU_RATIO).all()
+
+
 def test_single_frames_have_the_temperature_whose_mean_pixel_is_nearest() -> None:
     found = calibrated(evidence({0: normal(0.6, 40, 0)}, {0: normal(0.9, 40, 1)}, best=3), 2)
     assert found is not None
