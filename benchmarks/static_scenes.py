@@ -79,6 +79,14 @@ def opened(recording: Path, how: Static) -> Camera:
     return Demonstration(dataset.path(Demonstration, recording.name)).cameras[0]
 
 
+def unnamed(recording: Path, ingest: tuple[str, ...], tolerance: float) -> Static:
+    """How a recording is read that no set names: as a part of 7-Scenes, unless `ingest` says otherwise."""
+    intrinsics = next((str(file) for file in sorted(recording.glob("*intrinsics*.txt"))), "585,585,320,240")
+    colour = "frame-*.color.jpg" if any(recording.glob("frame-*.color.jpg")) else "frame-*.color.png"
+    usual = ("--intrinsics", intrinsics, "--color", colour, "--invalid-depth", "65535")
+    return Static("of no set", "", ingest or usual, tolerance)
+
+
 def halves(camera: Camera, tolerance: float) -> tuple[Points, Points]:
     """All points of the scene that are seen often: those to fit, and those to report."""
     places = _corners(camera, tolerance)

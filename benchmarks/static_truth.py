@@ -11,8 +11,8 @@ the first that shows a point:
     returned  one of the first five frames that show it again after ten without
 
 Five seeds draw other points and other particles each. The table gives the median error of each phase: the mean of the
-seeds, and the lowest and highest. How a recording is read is in `keypoint_sets.yaml`; another one, such as any part of
-7-Scenes, needs `--ingest`. Errors over time and frames are drawn in build/static_truth.
+seeds, and the lowest and highest. How a recording is read is in `keypoint_sets.yaml`; another one is taken for a part of
+7-Scenes, unless `--ingest` says how. Errors over time and frames are drawn in build/static_truth.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from keypoint_sets import Static, static
+from keypoint_sets import static
 from static_likelihood import evidence, likelihood, methods_of
 from static_pictures import draw_frames, draw_over_time
-from static_scenes import BUILD, drawn, halves, opened, reported_frames
+from static_scenes import BUILD, drawn, halves, opened, reported_frames, unnamed
 from static_tracks import described, phases, references, tracked
 
 from bask_data.cli.console import shown_progress
@@ -52,7 +52,7 @@ def main() -> int:
     asked = parser.parse_args()
     table: dict[str, Any] = {}
     for recording in asked.recordings:
-        how = static(recording.name) or Static("none", "", tuple(shlex.split(asked.ingest)), asked.tolerance)
+        how = static(recording.name) or unnamed(recording, tuple(shlex.split(asked.ingest)), asked.tolerance)
         camera = opened(recording, how)
         with shown_progress():
             found = measured(camera, recording.name, how.tolerance, range(asked.seeds))

@@ -106,6 +106,16 @@ def test_points_are_on_the_surface_that_frames_show(camera: SimpleNamespace) -> 
         assert np.linalg.norm(around - point, axis=1).min() < TOLERANCE
 
 
+def test_a_recording_of_no_set_is_taken_for_a_part_of_7_scenes_unless_said_otherwise(tmp_path: Path) -> None:
+    usual = static_scenes.unnamed(tmp_path, (), 0.05)
+    assert usual.ingest[:4] == ("--intrinsics", "585,585,320,240", "--color", "frame-*.color.png")
+    (tmp_path / "camera-intrinsics.txt").touch()
+    (tmp_path / "frame-000000.color.jpg").touch()
+    found = static_scenes.unnamed(tmp_path, (), 0.05)
+    assert found.ingest[:4] == ("--intrinsics", str(tmp_path / "camera-intrinsics.txt"), "--color", "frame-*.color.jpg")
+    assert static_scenes.unnamed(tmp_path, ("--fps", "5"), 0.05).ingest == ("--fps", "5")
+
+
 def test_the_bars_are_those_of_the_issue_and_phases_without_data_have_none() -> None:
     def of(seen: float | None, gone: float | None, returned: float | None) -> dict:
         return {"seen": [seen], "gone": [gone], "returned": [returned]}
