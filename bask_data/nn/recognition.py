@@ -24,19 +24,22 @@ class Search:
     Args:
         matches: best match of each keypoint in each view, metres; NaN: no depth there.
         tied: see `tied_distance`.
+        nearest: descriptor distance of each best match.
     """
 
     views: Sequence[SelectionView]
     matches: Float[ndarray, "k v 3"]
     tied: Float[ndarray, "k v"]
+    nearest: Float[ndarray, "k v"]
 
     @staticmethod
     def of(descriptors: Float[torch.Tensor, "k d"], views: Sequence[SelectionView]) -> Search:
         """Search for descriptors, which are from other frames than the views."""
-        matches, tied = np.full((len(descriptors), len(views), 3), np.nan), np.full((len(descriptors), len(views)), 0.0)
+        shape = (len(descriptors), len(views))
+        matches, tied, nearest = np.empty((*shape, 3)), np.empty(shape), np.empty(shape)
         for i, view in enumerate(views):
-            matches[:, i], tied[:, i] = _best(descriptors, view)
-        return Search(views, matches, tied)
+            matches[:, i], tied[:, i], nearest[:, i] = _best(descriptors, view)
+        return Search(views, matches, tied, nearest)
 
     def agreed(self) -> tuple[Float[ndarray, "k 3"], Int[ndarray, "k"]]:
         """The places that most views agree on, and how many do."""
@@ -55,8 +58,8 @@ class Search:
 
 def _best(
     descriptors: Float[torch.Tensor, "k d"], view: SelectionView
-) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "k"]]:
-    """A view's best matches, metres, and the distance to those that match equally well."""
+) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "k"], Float[ndarray, "k"]]:
+    """A view's best matches, metres, the distance to those that match equally well, and their descriptor distance."""
     maps = distance_maps(view.descriptors, descriptors).cpu().numpy()
     height, width = maps.shape[1:]
     depth = _at(view.depth, (height, width)).astype(float)
@@ -65,7 +68,8 @@ def _best(
     points[depth <= 0] = np.nan
     on_object = depth > 0 if view.instance is None else _at(view.instance, (height, width)) > 0
     best = maps.reshape(len(maps), -1).argmin(axis=1)
-    return points.reshape(-1, 3)[best], np.array([tied_distance(z, points, on_object) for z in maps])
+    tied = np.array([tied_distance(z, points, on_object) for z in maps])
+    return points.reshape(-1, 3)[best], tied, maps.reshape(len(maps), -1).min(axis=1)
 
 
 def _at(image: ndarray, size: tuple[int, int]) -> ndarray:

@@ -174,8 +174,8 @@ def _of_instance(
     # Among those found equally often, which are many, chance decides, not the order of the frames.
     order = np.lexsort((rng.random(len(share_found)), -share_found))
     pooled = candidates.taken(order[: max(N_POOL, POOL_PER_KEYPOINT * n)])
-    own = in_own_scan(pooled.points_world, pooled.descriptors, pooled.i_frame, views)
-    return pooled, Pool(pooled.points_world, pooled.descriptors, own)
+    own, familiar = in_own_scan(pooled.points_world, pooled.descriptors, pooled.i_frame, views)
+    return pooled, Pool(pooled.points_world, pooled.descriptors, own, familiar)
 
 
 def _best_frames(instance: int, scan: Scan, masks: VisibleMasks) -> list[tuple[Camera, int]]:

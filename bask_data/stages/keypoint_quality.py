@@ -30,6 +30,11 @@ LEAST_ALIGNED = 5
 """Fewest keypoints that a rigid motion must take to where they are found again: three always fit. Chosen, sensitivity
 not measured."""
 
+FAMILIAR = 0.9
+"""An object is in another scan only if half of its candidates match there, in their best frame, at least as well as
+this share of all best matches in its own scan. Chosen on ten pairs of an object and a scan that shows it and ten that
+do not (decision 54): the latter are all refused, also at a distance larger by 8 %, and eight of the former accepted."""
+
 LEAST_SHARE_ALIGNED = 0.25
 """Smallest share of an object's keypoints, likewise. Chosen, sensitivity not measured."""
 
@@ -41,6 +46,7 @@ class Pool:
     Args:
         points_world: (k, 3) metres, in the scan they are picked in.
         own: sightings in other frames of that scan, where the true places are known.
+        familiar: largest descriptor distance, see `FAMILIAR`, at which the object is recognised.
         scans: other scans in which the object was recognised.
         others: sightings in them.
     """
@@ -48,6 +54,7 @@ class Pool:
     points_world: np.ndarray
     descriptors: torch.Tensor
     own: Sightings
+    familiar: float = float("inf")
     scans: list[str] = field(default_factory=list)
     others: list[Sightings] = field(default_factory=list)
 
@@ -130,6 +137,8 @@ def elsewhere(pool: Pool, views: Sequence[SelectionView], seed: int) -> Sighting
     from bask_data.nn.recognition import Search
 
     found = Search.of(pool.descriptors, views)
+    if np.median(found.nearest.min(axis=1)) > pool.familiar:
+        return None
     places, votes = found.agreed()
     reliable = np.flatnonzero(votes >= 2)
     if len(reliable) < LEAST_ALIGNED:
@@ -143,8 +152,10 @@ def elsewhere(pool: Pool, views: Sequence[SelectionView], seed: int) -> Sighting
 
 def in_own_scan(
     points_world: np.ndarray, descriptors: torch.Tensor, i_view: np.ndarray, views: Sequence[SelectionView]
-) -> Sightings:
+) -> tuple[Sightings, float]:
     """Sightings of points (k, 3) in views of the scan they are picked in, each in all views but its own.
+
+    Also the descriptor distance up to which matches count as familiar: infinite if there is no other view.
 
     Args:
         i_view: (k,) the view that each descriptor is from.
@@ -153,13 +164,15 @@ def in_own_scan(
 
     from bask_data.nn.recognition import Search
 
-    error, tied = np.full((len(points_world), len(views)), np.nan), np.full((len(points_world), len(views)), np.nan)
+    error, tied, nearest = (np.full((len(points_world), len(views)), np.nan) for _ in range(3))
     for i, view in enumerate(views):
         rows = np.flatnonzero(i_view != i)
         if len(rows):
-            seen = Search.of(descriptors[rows], [view]).sightings(points_world[rows])
-            error[rows, i], tied[rows, i] = seen.error[:, 0], seen.tied[:, 0]
-    return Sightings(error, tied)
+            found = Search.of(descriptors[rows], [view])
+            seen = found.sightings(points_world[rows])
+            error[rows, i], tied[rows, i], nearest[rows, i] = seen.error[:, 0], seen.tied[:, 0], found.nearest[:, 0]
+    known = nearest[np.isfinite(nearest)]
+    return Sightings(error, tied), float(np.quantile(known, FAMILIAR)) if len(known) else float("inf")
 
 
 def of_picks(
@@ -182,7 +195,7 @@ def of_picks(
         own_view = np.array([numbers.get((picks[i].camera, picks[i].frame), -1) for i in mine])
         if mine and views:
             points = np.array([picks[i].point_world for i in mine])
-            own = in_own_scan(points, torch.from_numpy(descriptors[mine]).to(network.device), own_view, views)
+            own, _ = in_own_scan(points, torch.from_numpy(descriptors[mine]).to(network.device), own_view, views)
             for row, i in enumerate(mine):
                 completed[i] = picks[i].model_copy(update={"recognition": recognition_of(own, own, row, [name])})
     return completed

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -49,10 +51,23 @@ def test_an_object_that_the_other_scan_does_not_show_is_not_recognised():
     assert pool.recognition(0, "a") is None
 
 
+def test_an_object_whose_points_match_worse_than_in_its_own_scan_is_not_recognised():
+    views, points = position_views(5)
+    pool = pool_of(views, points, np.eye(4))
+    # All match as well as before relative to each other, but from afar, as something small that resembles it would.
+    far = [replace(view, descriptors=torch.cat([view.descriptors, 0 * view.descriptors[:1] + 0.5])) for view in views]
+    pool.descriptors = torch.cat([pool.descriptors, torch.zeros(len(pool.descriptors), 1)], dim=1)
+    assert elsewhere(pool, far[1:], seed=0) is not None
+    pool.familiar = 0.1
+    assert elsewhere(pool, far[1:], seed=0) is None
+
+
 def test_what_is_stored_is_of_the_other_scans_and_else_of_its_own():
     views, points = position_views(5)
     pool = pool_of(views, points, np.eye(4))
-    pool.own = in_own_scan(pool.points_world, pool.descriptors, np.zeros(len(pool.points_world), int), views)
+    pool.own, pool.familiar = in_own_scan(
+        pool.points_world, pool.descriptors, np.zeros(len(pool.points_world), int), views
+    )
     # The first view is their own, so it does not count.
     assert np.isnan(pool.own.error[:, 0]).all()
     row = int(np.argmax(pool.own.n_views))
@@ -82,7 +97,7 @@ def test_moving_a_camera_and_its_points_alike_changes_nothing():
 def test_candidates_are_ranked_by_both_scans_and_what_no_frame_shows_comes_last():
     own = Sightings(np.array([[0.01], [0.02], [0.03], [np.nan]]), np.zeros((4, 1)))
     other = Sightings(np.array([[0.1], [0.3], [0.01], [np.nan]]), np.zeros((4, 1)))
-    pool = Pool(np.zeros((4, 3)), torch.zeros(4, 2), own, ["b"], [other])
+    pool = Pool(np.zeros((4, 3)), torch.zeros(4, 2), own, scans=["b"], others=[other])
     assert pool.ranks.tolist() == [0 + 1, 1 + 2, 2 + 0, 3 + 3]
     # Without another scan, its own decides.
     assert Pool(np.zeros((4, 3)), torch.zeros(4, 2), own).ranks.tolist() == [0, 1, 2, 3]
