@@ -11,8 +11,8 @@ the first that shows a point:
     returned  one of the first five frames that show it again after ten without
 
 Five seeds draw other points and other particles each. The table gives the median error of each phase: the mean of the
-seeds, and the lowest and highest. How a recording is read is in `keypoint_sets.yaml`; another one is taken for a part of
-7-Scenes, unless `--ingest` says how. Errors over time and frames are drawn in build/static_truth.
+seeds, and the lowest and highest. How a recording is read is in `keypoint_sets.yaml`; another one is taken for a part
+of 7-Scenes, unless `--ingest` says how. Errors over time and frames are drawn in build/static_truth.
 """
 
 from __future__ import annotations
