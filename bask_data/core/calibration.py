@@ -109,13 +109,6 @@ def calibrated(evidence: Evidence, k: int) -> Calibration | None:
     return Calibration(alpha, tau_ratio, np.full(k, TEMPERATURES[int(typical_off.argmin())]))
 
 
-def typical(evidence: Evidence, k: int) -> Calibration | None:
-    """The calibration of k keypoints that nothing was measured of: the average of those that were."""
-    n = int(evidence.true_of.max(initial=-1)) + 1
-    found = calibrated(evidence, n + 1)
-    return found and Calibration(*(np.full(k, getattr(found, field.name)[-1]) for field in fields(Calibration)))
-
-
 def _fitted(
     evidence: Evidence, true_weight: Float[ndarray, "n"], rival_weight: Float[ndarray, "m"]
 ) -> tuple[float, float]:

@@ -12,7 +12,6 @@ from bask_data.core.calibration import (
     Evidence,
     calibrated,
     joined,
-    typical,
 )
 
 
@@ -72,13 +71,10 @@ def test_frames_whose_distances_all_rise_say_the_same() -> None:
 def test_a_keypoint_with_many_frames_has_its_own_values_and_one_without_those_of_the_average() -> None:
     far, near = (normal(1.2, 4000, 0), normal(1.5, 4000, 1)), (normal(0.9, 4000, 2), normal(1.2, 4000, 3))
     measured = evidence({0: far[0], 1: near[0]}, {0: far[1], 1: near[1]})
-    found, average = calibrated(measured, 3), typical(measured, 2)
+    found = calibrated(measured, 3)
     assert found is not None
-    assert average is not None
     assert crossing(found)[:2] == pytest.approx([0.35, 0.05], abs=0.02)
     assert crossing(found)[0] > crossing(found)[2] > crossing(found)[1]
-    for name in ("alpha", "tau_ratio", "sharp_alpha"):
-        np.testing.assert_array_equal(getattr(average, name), np.full(2, getattr(found, name)[2]))
 
 
 def test_few_frames_decide_little() -> None:
@@ -114,5 +110,4 @@ def test_too_few_frames_or_no_rival_calibrate_nothing() -> None:
     assert calibrated(evidence({0: few}, {0: normal(0.9, 40, 1)}), 1) is None
     assert calibrated(evidence({0: enough}, {0: np.empty(0)}), 1) is None
     assert calibrated(evidence({0: np.empty(0)}, {0: np.empty(0)}), 1) is None
-    assert typical(evidence({0: np.empty(0)}, {0: np.empty(0)}), 1) is None
     assert isinstance(calibrated(evidence({0: enough}, {0: normal(0.9, 40, 1)}), 1), Calibration)
