@@ -11,9 +11,10 @@ import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
-from accuracy import TASKS, bask_data
-from filters import N_DEMONSTRATIONS, ROOT, Keypoints, Recorded, Track, figures, followed, picked, points_of, printed
+from accuracy import bask_data
+from filters import N_DEMONSTRATIONS, ROOTS, Keypoints, Recorded, Track, figures, followed, picked, points_of, printed
 from filters import recordings as demonstrations
+from keypoint_sets import simulated
 
 from bask_data.core.calibration import Calibration, calibrated
 from bask_data.core.filters.calibrated import calibrated_settings
@@ -27,6 +28,8 @@ from bask_data.kinds.places import object_poses
 from bask_data.stages.keypoint_evidence import N_MEASURED_VIEWS, spread_frames
 
 CAMERA, SEED = "wrist", 0
+TABLE = "filters, tuning"
+ROOT = ROOTS[TABLE]
 SCANS = ROOT.with_name("filters_scans")
 
 
@@ -56,9 +59,12 @@ def measured(task: str, keypoints: Keypoints, every: int) -> Calibration | None:
 
 
 def main(arguments: list[str]) -> int:
-    for task in TASKS:
-        bask_data("ingest", "sim", ROOT, "--task", task, "--scans", 0, "--demonstrations", N_DEMONSTRATIONS)
-        bask_data("ingest", "sim", SCANS, "--task", task, "--scans", 1, "--demonstrations", 0, "--cameras", CAMERA)
+    tasks = simulated(TABLE)
+    for task in tasks.tasks:
+        seed = ("--seed", tasks.seed)
+        n = N_DEMONSTRATIONS // len(tasks.tasks)
+        bask_data("ingest", "sim", ROOT, "--task", task, "--scans", 0, "--demonstrations", n, *seed)
+        bask_data("ingest", "sim", SCANS, "--task", task, "--scans", 1, "--demonstrations", 0, *seed)
     for every in [int(text) for text in arguments] or [1, 4]:
         tracks: dict[str, list[Track]] = {"measured": [], "not measured": []}
         for one in demonstrations(ROOT, [CAMERA], []):
