@@ -272,8 +272,9 @@ class KeypointTracker:
             self.belief = from_arrays(arrays, self._settings)
             self._rng.bit_generator.state = words["rng"]
             self.n_steps, self.cameras = int(words["n_steps"]), list(words["cameras"])
-            self._observed = {name: np.array(observed) for name, observed in words.get("observed", {}).items()}
-        except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+            k = len(self.names)
+            self._observed = {name: np.array(one, bool).reshape(k) for name, one in words.get("observed", {}).items()}
+        except (SafetensorError, OSError, AttributeError, KeyError, TypeError, ValueError) as error:
             got, fix = f"{type(error).__name__}: {error}", "delete it, and start with a new tracker."
             raise BadData(file, "", expected="a tracker's state", got=got, fix=fix) from error
         self._world_from_gripper = arrays.get("gripper")

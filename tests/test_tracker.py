@@ -294,6 +294,17 @@ def test_a_file_that_is_not_a_state_is_refused(tmp_path: Path, reference: Refere
         KeypointTracker(ColourNetwork(), reference).load(tmp_path / "state")
 
 
+def test_a_state_of_other_keypoints_is_refused(
+    tmp_path: Path, demonstration: Demonstration, reference: ReferenceKeypoints
+) -> None:
+    tracker = KeypointTracker(ColourNetwork(), reference)
+    stepped(tracker, demonstration, 0, ["wrist"])
+    tracker.names = tracker.names[1:]
+    tracker.save(tmp_path / "state")
+    with pytest.raises(BadData, match="expected a tracker's state, got ValueError"):
+        tracker.load(tmp_path / "state")
+
+
 def test_a_state_of_another_filter_is_refused(
     tmp_path: Path, demonstration: Demonstration, reference: ReferenceKeypoints
 ) -> None:
