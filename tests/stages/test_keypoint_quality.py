@@ -9,7 +9,7 @@ import torch
 from bask_data.core.agreement import Sightings
 from bask_data.core.geometry import invert_rigid, transform
 from bask_data.nn.recognition import Search
-from bask_data.stages.keypoint_quality import MOST_SCANS, Pool, elsewhere, in_own_scan, other_scans
+from bask_data.stages.keypoint_quality import LEAST_SEEN, MOST_SCANS, Pool, elsewhere, in_own_scan, other_scans
 from tests.core.test_rigid_fit import motion
 from tests.nn.test_selection import position_views
 
@@ -94,10 +94,15 @@ def test_moving_a_camera_and_its_points_alike_changes_nothing():
     np.testing.assert_allclose(seen.expected_error, same.expected_error, atol=0.02)
 
 
-def test_candidates_are_ranked_by_both_scans_and_what_no_frame_shows_comes_last():
-    own = Sightings(np.array([[0.01], [0.02], [0.03], [np.nan]]), np.zeros((4, 1)))
-    other = Sightings(np.array([[0.1], [0.3], [0.01], [np.nan]]), np.zeros((4, 1)))
+def test_candidates_are_ranked_by_both_scans_and_what_few_frames_show_comes_last():
+    def seen(*errors: float) -> Sightings:
+        error = np.tile(np.array(errors)[:, None], (1, LEAST_SEEN))
+        # The last candidate is right in all frames that show it, but these are too few.
+        error[-1] = np.where(np.arange(LEAST_SEEN) < LEAST_SEEN - 1, 0.0, np.nan)
+        return Sightings(error, np.zeros_like(error))
+
+    own, other = seen(0.01, 0.02, 0.03, 0.0), seen(0.1, 0.3, 0.01, 0.0)
     pool = Pool(np.zeros((4, 3)), torch.zeros(4, 2), own, scans=["b"], others=[other])
     assert pool.ranks.tolist() == [0 + 1, 1 + 2, 2 + 0, 3 + 3]
     # Without another scan, its own decides.
-    assert Pool(np.zeros((4, 3)), torch.zeros(4, 2), own).ranks.tolist() == [0, 1, 2, 3]
+    assert Pool(np.zeros((4, 3)), torch.zeros(4, 2), pool.own).ranks.tolist() == [0, 1, 2, 3]
