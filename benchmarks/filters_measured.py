@@ -64,7 +64,9 @@ def main(arguments: list[str]) -> int:
         seed = ("--seed", tasks.seed)
         n = N_DEMONSTRATIONS // len(tasks.tasks)
         bask_data("ingest", "sim", ROOT, "--task", task, "--scans", 0, "--demonstrations", n, *seed)
-        bask_data("ingest", "sim", SCANS, "--task", task, "--scans", 1, "--demonstrations", 0, *seed)
+        bask_data(
+            "ingest", "sim", SCANS, "--task", task, "--scans", 1, "--demonstrations", 0, "--cameras", CAMERA, *seed
+        )
     for every in [int(text) for text in arguments] or [1, 4]:
         tracks: dict[str, list[Track]] = {"measured": [], "not measured": []}
         for one in demonstrations(ROOT, [CAMERA], []):
