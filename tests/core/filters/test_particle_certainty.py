@@ -122,7 +122,7 @@ def residuals(at_mean: float, slope: float, sees: float = 1.0) -> Residuals:
 def displaced(*frames: list[Residuals], noise: float = 0.0) -> ParticleBelief:
     belief = new_belief(np.zeros((1, 1, 3)), np.ones((1, 1)))
     for looks in frames:
-        belief = certainty._with_displacement(belief, looks, replace(OWN, residual_noise=noise))
+        belief = certainty._with_displacement(belief, looks, replace(OWN, alpha=4.0, residual_noise=noise / 4.0))
     return belief
 
 

@@ -19,6 +19,7 @@ from bask_data.core.filters.observation import Estimate, Observation
 from bask_data.core.filters.particle.belief import ParticleBelief
 from bask_data.core.filters.particle.likelihood import FrameLikelihood, frame_likelihood
 from bask_data.core.filters.particle.settings import ParticleSettings
+from bask_data.core.filters.per_keypoint import per_keypoint
 
 SEES = 0.7
 """Least probability that a camera sees the keypoint for its residual to count. With 0.5 and 0.9, the calibration error
@@ -146,7 +147,8 @@ def _with_displacement(
     slope = np.where(rises, slopes, 0.0).sum(axis=0) / np.maximum(n_rising, 1)
     slope = _averaged(belief.slope, slope, n_rising > 0, SLOPE_RATE)
     least = np.where(counts, [look.at_mean for look in looks], np.inf).min(axis=0)
-    beyond = np.maximum(np.where(n_counting > 0, least, 0.0) - settings.residual_noise, 0.0)
+    noise = settings.residual_noise * per_keypoint(settings.alpha, len(least), "alpha")
+    beyond = np.maximum(np.where(n_counting > 0, least, 0.0) - noise, 0.0)
     known_slope = np.where(slope > 0, slope, 1e-9)  # Without any, nothing but MOST_DISPLACED is known.
     displacement = np.minimum(beyond / known_slope, MOST_DISPLACED)
     displacement = _averaged(belief.displacement, displacement, n_counting > 0, RESIDUAL_RATE)
