@@ -317,8 +317,8 @@ def _resumed(tracker: KeypointTracker, out: Path) -> int:
 
 
 def _clear(out: Path) -> None:
-    """Remove everything that an interrupted attempt left."""
-    for left in out.iterdir():
+    """Remove everything that an interrupted attempt left, if anything."""
+    for left in out.iterdir() if out.exists() else ():
         shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
