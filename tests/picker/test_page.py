@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -81,7 +82,10 @@ def test_sixteen_points_over_two_objects_survive_a_reload_and_are_saved(page, pa
         count(page, 15)
         click(page, *wanted[15][:2], n_after=16)
         page.keyboard.press("Control+s")
-        playwright.expect(page.locator("#saved-text")).to_have_text("16 keypoints saved as reference/main")
+        playwright.expect(page.locator("#saved-text")).to_have_text(
+            # An untrained network confuses some of them.
+            re.compile(r"16 keypoints saved as reference/main( \(ambiguous: .+\))?")
+        )
         assert page.locator("#saved-next").inner_text() == f"bask-data encode {page_dataset.root}"
         page.locator("#finish").click()
         playwright.expect(page.locator("body")).to_have_text("Saved. You can close this page.")
