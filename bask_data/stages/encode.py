@@ -167,7 +167,7 @@ class EncodeParams(Params):
         return () if kind == Truth.kind and self.source == "network" else None
 
 
-@stage(makes=KeypointTrack, version=7, resumable=True)
+@stage(makes=KeypointTrack, version=8, resumable=True)
 def encode(
     demonstration: Demonstration,
     descriptor: DescriptorNet,

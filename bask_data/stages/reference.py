@@ -55,7 +55,7 @@ class ReferenceParams(Params):
         return () if kind == "demonstration" else None
 
 
-@stage(makes=ReferenceKeypoints, version=4)
+@stage(makes=ReferenceKeypoints, version=5)
 def reference(
     scans: list[Scan],
     masks: list[VisibleMasks],

@@ -92,7 +92,7 @@ def test_pixels_are_those_of_the_mean_in_the_cameras_image(tmp_path: Path) -> No
 def test_every_filter_gives_what_it_gave(tmp_path: Path, filter: str) -> None:
     track = tracked(dataset_of(tmp_path / "d", {"wrist": poses()}), filter=filter, n_particles=500)
     assert track.metadata.filter == filter
-    golden = np.load(GOLDEN / "encode_v7.npz")
+    golden = np.load(GOLDEN / "encode_v8.npz")
     for name in ARRAYS:
         np.testing.assert_allclose(
             getattr(track, name), golden[f"{filter}.{name}"], rtol=1e-3, atol=1e-5, err_msg=f"{filter} {name}"
