@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import torch
 from static_scenes import SPACING, Points, depth_of, pixels, runs, starts_again
 from xfeat import XFeat, descriptors_at, upsampled
 
-from bask_data.core.filters.observation import Observation
+from bask_data.core.filters.observation import Estimate, Observation
 from bask_data.core.filters.step import step
 from bask_data.core.filters.table import FilterSettings
 from bask_data.kinds import Camera
@@ -18,6 +19,19 @@ from bask_data.progress import progress
 
 STEADY, RETURNED = 5, 5
 """Frames in a row that a point was seen before it counts as seen, and frames after its return that count as such."""
+
+
+@dataclass(frozen=True)
+class StaticTrack:
+    """Where a method takes the points to be, metres, world frame.
+
+    Attributes:
+        mean: (t, k, 3).
+        covariance: (t, k, 3, 3), square metres.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
 
 
 def described(camera: Camera) -> list[torch.Tensor]:
@@ -46,17 +60,20 @@ def tracked(
     wanted: torch.Tensor,
     methods: Mapping[str, FilterSettings],
     seed: int,
-) -> dict[str, np.ndarray]:
-    """Where each method takes the points to be (t, k, 3), in one pass over all frames."""
+) -> dict[str, StaticTrack]:
+    """Each method's track of the points, in one pass over all frames."""
     beliefs: dict[str, Any] = dict.fromkeys(methods)
     rngs = {name: np.random.default_rng(seed) for name in methods}
-    means: dict[str, list[np.ndarray]] = {name: [] for name in methods}
+    estimates: dict[str, list[Estimate]] = {name: [] for name in methods}
     for i in progress(range(camera.n_frames), f"tracking, seed {seed}"):
         seen = observation(camera, cells[i], i, wanted)
         for name, settings in methods.items():
             beliefs[name], estimate = step(beliefs[name], [seen], None, rngs[name], settings)
-            means[name].append(estimate.mean)
-    return {name: np.stack(track) for name, track in means.items()}
+            estimates[name].append(estimate)
+    return {
+        name: StaticTrack(np.stack([one.mean for one in track]), np.stack([one.covariance for one in track]))
+        for name, track in estimates.items()
+    }
 
 
 def phases(points: Points) -> dict[str, np.ndarray]:

@@ -33,7 +33,11 @@ from static_scenes import BUILD, drawn, halves, opened, reported_frames, unnamed
 from static_tracks import described, phases, references, tracked
 
 from bask_data.cli.console import shown_progress
+from bask_data.core.coverage import coverage
 from bask_data.kinds import Camera
+
+Claim = tuple[np.ndarray, np.ndarray]
+"""True position minus mean (n, 3), and the covariance (n, 3, 3) that is claimed."""
 
 N_POINTS = 16
 """Points of each half and seed; as many keypoints as the paper tracks."""
@@ -70,6 +74,7 @@ def measured(camera: Camera, name: str, tolerance: float, seeds: Sequence[int]) 
     reported = reported_frames(camera.n_frames)
     medians: dict[str, dict[str, list[float | None]]] = {}
     counts: dict[str, list[int]] = {}
+    claims: dict[str, list[Claim]] = {}
     likelihoods = []
     for seed in seeds:
         rng = np.random.default_rng(seed)
@@ -77,7 +82,10 @@ def measured(camera: Camera, name: str, tolerance: float, seeds: Sequence[int]) 
         parts = [evidence(camera, cells, half, ~reported, tolerance) for half in (fitted, points)]
         methods = methods_of(*parts, len(points.world))
         tracks = tracked(camera, cells, references(camera, cells, points), methods, seed)
-        errors = {method: np.linalg.norm(track - points.world, axis=2) for method, track in tracks.items()}
+        errors = {method: np.linalg.norm(track.mean - points.world, axis=2) for method, track in tracks.items()}
+        known = np.logical_or.accumulate(points.seen, axis=0) & reported[:, None]
+        for method, track in tracks.items():
+            claims.setdefault(method, []).append(((points.world - track.mean)[known], track.covariance[known]))
         for phase, mask in phases(points).items():
             chosen = mask & reported[:, None]
             counts.setdefault(phase, []).append(int(chosen.sum()))
@@ -87,15 +95,24 @@ def measured(camera: Camera, name: str, tolerance: float, seeds: Sequence[int]) 
         likelihoods.append(likelihood(methods))
         if seed == seeds[0]:
             draw_over_time(BUILD / f"{name}_over_time.png", errors, points, reported)
-            draw_frames(BUILD / f"{name}_frames.png", camera, points, tracks["particle"])
+            draw_frames(BUILD / f"{name}_frames.png", camera, points, tracks["particle"].mean)
     return {
         "n_frames": camera.n_frames,
         "n_points": [len(to_fit.world), len(to_report.world)],
         "likelihoods": likelihoods,
         "counts": counts,
         "medians": medians,
+        "certainty": {method: certainty(parts) for method, parts in claims.items()},
         "asked": verdicts(name, medians),
     }
+
+
+def certainty(parts: Sequence[Claim]) -> dict[str, Any]:
+    """Calibration error of the reported covariance, and the shares of errors within 1, 2 and 3 standard deviations, of
+    all seeds together, from the first frame that shows a point on."""
+    offset, covariance = (np.concatenate(of) for of in zip(*parts, strict=True))
+    found = coverage(offset, covariance)
+    return {"calibration_error": found.error, "within_sigmas": found.within.tolist(), "n": found.n}
 
 
 def verdicts(name: str, medians: Mapping[str, Mapping[str, Sequence[float | None]]]) -> dict[str, bool]:
@@ -119,6 +136,10 @@ def print_table(name: str, found: Mapping[str, Any]) -> None:
     print(f"{'':<46}" + "".join(f"{head:>24}" for head in heads))
     for method, of_method in found["medians"].items():
         print(f"{method:<46}" + "".join(f"{_written(values):>24}" for values in of_method.values()))
+    print("calibration error of the covariance, and share of errors within 1, 2, 3 sigma (expected: 20, 74, 97 %)")
+    for method, of_method in found["certainty"].items():
+        within = ", ".join(f"{share:.0%}" for share in of_method["within_sigmas"])
+        print(f"{method:<46}{of_method['calibration_error']:>24.2f}{within:>24}")
     for what, holds in found["asked"].items():
         print(f"asked of particle, {what}: {'holds' if holds else 'MISSED'}")
 

@@ -6,7 +6,7 @@ import pytest
 from bask_data.core.calibration import Calibration
 from bask_data.core.filters.calibrated import calibrated_settings, likelihood_text
 from bask_data.core.filters.heatmap import unseen_likelihood
-from bask_data.core.filters.particle.settings import ParticleSettings
+from bask_data.core.filters.particle.settings import IF_CALIBRATED, ParticleSettings
 from bask_data.core.filters.table import FILTERS, settings_named
 
 MEASURED = Calibration(alpha=np.array([2.0, 4.0]), tau_ratio=np.array([0.5, 2.0]), sharp_alpha=np.array([32.0, 32.0]))
@@ -14,7 +14,7 @@ MEASURED = Calibration(alpha=np.array([2.0, 4.0]), tau_ratio=np.array([0.5, 2.0]
 
 def test_filters_take_alpha_and_tau_as_measured() -> None:
     particle = calibrated_settings("particle", MEASURED)
-    assert particle == ParticleSettings(alpha=(2.0, 4.0), tau_ratio=(0.5, 2.0), found=1.0)
+    assert particle == ParticleSettings(alpha=(2.0, 4.0), tau_ratio=(0.5, 2.0), **IF_CALIBRATED)
     discrete = calibrated_settings("discrete", MEASURED)
     assert discrete == settings_named("discrete", alpha=(2.0, 4.0), tau_ratio=(0.5, 2.0))
 
@@ -32,8 +32,9 @@ def test_the_presets_of_the_sources_take_nothing_that_was_measured(name: str) ->
 
 def test_values_that_are_given_take_precedence() -> None:
     assert calibrated_settings("expectation", MEASURED, alpha=5.0).alpha == 5.0  # type: ignore[attr-defined]
-    given = calibrated_settings("particle", MEASURED, tau=0.1, walk=0.3, found=3.0)
-    assert given == ParticleSettings(alpha=(2.0, 4.0), tau_ratio=(0.5, 2.0), tau=0.1, walk=0.3, found=3.0)
+    given = calibrated_settings("particle", MEASURED, tau=0.1, walk=0.3, found=3.0, residual_sigma=0.5)
+    measured = {"alpha": (2.0, 4.0), "tau_ratio": (0.5, 2.0)}
+    assert given == ParticleSettings(**measured, tau=0.1, walk=0.3, found=3.0, residual_sigma=0.5)
 
 
 def test_with_another_alpha_tau_is_the_likelihood_at_the_same_distance() -> None:
