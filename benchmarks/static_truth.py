@@ -139,7 +139,8 @@ def print_table(name: str, found: Mapping[str, Any]) -> None:
     print("calibration error of the covariance, and share of errors within 1, 2, 3 sigma (expected: 20, 74, 97 %)")
     for method, of_method in found["certainty"].items():
         within = ", ".join(f"{share:.0%}" for share in of_method["within_sigmas"])
-        print(f"{method:<46}{of_method['calibration_error']:>24.2f}{within:>24}")
+        claimed = f"{of_method['calibration_error']:>24.2f}{within:>24}" if of_method["n"] else f"{'no data':>24}"
+        print(f"{method:<46}{claimed}")
     for what, holds in found["asked"].items():
         print(f"asked of particle, {what}: {'holds' if holds else 'MISSED'}")
 

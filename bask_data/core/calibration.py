@@ -36,6 +36,10 @@ a training scan and -0.7 in demonstrations, and tau as measured in the scan lost
 of 57). So the measurement may lower tau and not raise it. And where it finds that rivals match as well as the keypoint,
 alpha below 2 makes neither of them a worse match (80 mm with alpha 1)."""
 
+UNTOLD_TAU = 0.5 * 0.5**0.5
+"""Upper bound of tau over the usual match, where alpha is at its bound. Derived: half, as a track counts as found where
+it matches twice better than tau, times the mean of p_d, 1/sqrt(2), of depths that vary as the filter assumes."""
+
 TEMPERATURES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 """Temperatures that levels and mean pixels of the frames are measured at."""
 
@@ -112,7 +116,12 @@ def calibrated(evidence: Evidence, k: int) -> Calibration | None:
 def _fitted(
     evidence: Evidence, true_weight: Float[ndarray, "n"], rival_weight: Float[ndarray, "m"]
 ) -> tuple[float, float]:
-    """alpha and tau over the mean likelihood, within their bounds."""
+    """alpha and tau over the mean likelihood, within their bounds.
+
+    Where rivals match as well as the keypoint, a match cannot tell whether it is visible either, and tau between the
+    two would let a visible track fade: whatever is hidden or out of view would win. There, tau is below the usual
+    match, and depth and the image's border decide what is visible.
+    """
     alpha, crossing = LEAST_ALPHA, 0.0
     bounds = {"least": LEAST_ALPHA, "most": TEMPERATURES[-1]}
     for _ in range(N_ROUNDS):
@@ -120,8 +129,18 @@ def _fitted(
         rival = evidence.rival - _level(evidence.rival_level, alpha)
         alpha, crossing = log_ratio(true, rival, true_weight, rival_weight, **bounds)
     # Below, a ratio is zero in single precision.
-    least = np.log(np.finfo(np.float32).tiny)
-    return alpha, float(np.exp(np.clip(-alpha * crossing, least, np.log(MOST_TAU_RATIO))))
+    least, log_ratio_of_tau = np.log(np.finfo(np.float32).tiny), -alpha * crossing
+    if np.isclose(alpha, LEAST_ALPHA):
+        usual = -alpha * _median(evidence.true - _level(evidence.true_level, alpha), true_weight)
+        log_ratio_of_tau = min(log_ratio_of_tau, usual + np.log(UNTOLD_TAU))
+    return alpha, float(np.exp(np.clip(log_ratio_of_tau, least, np.log(MOST_TAU_RATIO))))
+
+
+def _median(values: Float[ndarray, "n"], weight: Float[ndarray, "n"]) -> float:
+    """The weighted median."""
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(weight[order])
+    return float(values[order][min(int(np.searchsorted(total, 0.5 * total[-1])), len(order) - 1)])
 
 
 def _level(levels: Float[ndarray, "n a"], alpha: float) -> Float[ndarray, "n"]:

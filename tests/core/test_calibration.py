@@ -8,6 +8,7 @@ from bask_data.core.calibration import (
     LEAST_SIGHTINGS,
     MOST_TAU_RATIO,
     TEMPERATURES,
+    UNTOLD_TAU,
     Calibration,
     Evidence,
     calibrated,
@@ -84,8 +85,16 @@ def test_few_frames_decide_little() -> None:
     assert abs(crossing(found)[1] - crossing(found)[2]) < 0.3 * abs(crossing(found)[2] - 0.05)
 
 
+def test_where_rivals_match_as_well_tau_is_below_the_usual_match() -> None:
+    found = calibrated(evidence({0: normal(0.87, 401, 0)}, {0: normal(0.86, 400, 1)}, level=0.95), 1)
+    assert found is not None
+    assert found.alpha == pytest.approx([LEAST_ALPHA])
+    usual = np.exp(-LEAST_ALPHA * (np.median(normal(0.87, 401, 0)) - 0.95))
+    assert found.tau_ratio == pytest.approx([UNTOLD_TAU * usual])
+
+
 def test_a_measurement_lowers_tau_only_and_does_not_flatten_the_heat_maps() -> None:
-    found = calibrated(evidence({0: normal(0.5, 400, 0)}, {0: normal(0.4, 400, 1)}, level=1.0), 1)
+    found = calibrated(evidence({0: normal(0.5, 400, 0)}, {0: normal(0.4, 400, 1)}, level=2.0), 1)
     assert found is not None
     assert found.alpha == pytest.approx([LEAST_ALPHA])
     assert found.tau_ratio == pytest.approx([MOST_TAU_RATIO])

@@ -10,7 +10,13 @@ import pytest
 from bask_data.core.filters.observation import Estimate, Observation
 from bask_data.core.filters.particle import certainty, particle_step
 from bask_data.core.filters.particle.belief import ParticleBelief, new_belief
-from bask_data.core.filters.particle.certainty import MOST_DISPLACED, RESIDUAL_RATE, SLOPE_RATE, Residuals
+from bask_data.core.filters.particle.certainty import (
+    HIGHEST_ALPHA,
+    MOST_DISPLACED,
+    RESIDUAL_RATE,
+    SLOPE_RATE,
+    Residuals,
+)
 from bask_data.core.filters.particle.settings import ParticleSettings
 from bask_data.core.track_scores import spread
 
@@ -158,3 +164,13 @@ def test_without_a_slope_only_the_largest_displacement_is_known() -> None:
     assert displaced([residuals(0.0, slope=-5.0)]).displacement == 0
     flat_later = displaced([residuals(0.8, slope=40.0)], [residuals(0.8, slope=-5.0)])
     assert flat_later.slope == pytest.approx(40.0)
+
+
+def test_with_a_higher_temperature_the_spread_of_the_particles_is_reported() -> None:
+    frames = [wall(0.02, edge=0.0)] * 6
+    for alpha, differs in ((HIGHEST_ALPHA, True), (1.01 * HIGHEST_ALPHA, False)):
+        reported, plain = (
+            followed(frames, replace(OWN, alpha=(alpha,), residual_sigma=sigma))[1][-1].covariance
+            for sigma in (OWN.residual_sigma, 0.0)
+        )
+        assert np.array_equal(reported, plain) != differs

@@ -134,11 +134,9 @@ _CODE: dict[str, Any] = {
     "n_lookalikes": 0,
     "residual_sigma": 0.0,
 }
-IF_CALIBRATED: dict[str, Any] = {"found": 1.0, "residual_sigma": 0.0}
+IF_CALIBRATED: dict[str, Any] = {"found": 1.0}
 """Where tau was measured, every better match is more likely the keypoint than a rival. Twice as good is never reached
-by descriptors that hardly differ. Chosen on 7-Scenes `redkitchen`, half of the points. And the spread of the particles
-is then the certainty, as in the paper: the displacement takes a usual match of a network, which is not zero, for an
-error. Calibration error on `redkitchen` 0.12, with the displacement 0.29."""
+by descriptors that hardly differ. Chosen on 7-Scenes `redkitchen`, half of the points."""
 
 PRESETS: dict[str, dict[str, Any]] = {
     # Stratified resampling below a threshold; nothing is said of sharper heat maps.
