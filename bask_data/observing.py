@@ -87,10 +87,10 @@ class FrameObserver:
 
         Raises:
             BadData: the network's descriptors have another dimension than the references.
-            ValueError: `every` is below 1, or `scale` is not above 0 and at most 1.
+            ValueError: `every` is not a whole number of at least 1, or `scale` is not above 0 and at most 1.
         """
-        if every < 1:
-            raise ValueError(f"every: expected at least 1, got {every}")
+        if not isinstance(every, int | np.integer) or every < 1:
+            raise ValueError(f"every: expected a whole number of at least 1, got {every!r}")
         self._references = _fitting(reference, network)
         self._network = network if scale == 1 else network.at_scale(scale)
         self._every = every

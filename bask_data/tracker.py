@@ -95,13 +95,16 @@ class KeypointTracker:
         Raises:
             BadData: a path holds no such artifact, the network does not load, or its descriptors have another
                 dimension than the references.
-            ValueError: `every` is below 1, or `scale` is not above 0 and at most 1.
+            ValueError: `every` is not a whole number of at least 1, `scale` is not above 0 and at most 1, or `cameras`
+                is a single name.
         """
         if isinstance(descriptor, str | Path):
             descriptor = _existing(DescriptorNet, descriptor)
         if not isinstance(reference, ReferenceKeypoints):
             reference = _existing(ReferenceKeypoints, reference)
         network = descriptor.network() if isinstance(descriptor, DescriptorNet) else descriptor
+        if isinstance(cameras, str):
+            raise ValueError(f"cameras: expected a list of names, got {cameras!r}")
         self.names = tuple(reference.names)
         self._every = every
         self._observer = FrameObserver(network if device is None else network.to(device), reference, every, scale)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -124,9 +125,9 @@ def test_a_tracker_continues_from_its_file_between_described_frames(
             np.testing.assert_array_equal(one.pixel[name], other.pixel[name])
 
 
-@pytest.mark.parametrize("every", [0, -1])
-def test_less_than_every_frame_is_refused(reference: ReferenceKeypoints, every: int) -> None:
-    with pytest.raises(ValueError, match=f"every: expected at least 1, got {every}"):
+@pytest.mark.parametrize("every", [0, -1, 1.5, float("nan"), "2", None])
+def test_every_is_refused_unless_it_counts_frames(reference: ReferenceKeypoints, every: Any) -> None:
+    with pytest.raises(ValueError, match=f"every: expected a whole number of at least 1, got {every!r}"):
         KeypointTracker(ColourNetwork(), reference, every=every)
 
 

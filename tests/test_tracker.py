@@ -358,6 +358,11 @@ def test_inputs_that_would_corrupt_the_belief_are_refused(
         KeypointTracker(ColourNetwork(), reference).step(**arguments)
 
 
+def test_a_single_name_for_the_cameras_is_refused(reference: ReferenceKeypoints) -> None:
+    with pytest.raises(ValueError, match="cameras: expected a list of names, got 'wrist'"):
+        KeypointTracker(ColourNetwork(), reference, cameras="wrist")
+
+
 @pytest.mark.parametrize("argument", ["images", "depths", "intrinsics", "world_from_cameras"])
 def test_an_argument_that_is_not_by_camera_is_refused(
     demonstration: Demonstration, reference: ReferenceKeypoints, argument: str

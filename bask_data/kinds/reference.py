@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from bask_data.artifact import REMAKE, ArraySpec, Artifact, Metadata
 from bask_data.errors import BadData
 from bask_data.kinds.arrays import read_all, start, write_array
+from bask_data.spelling import number_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
 LARGEST_MEASURED = 1e6
 """Largest alpha and tau ratio that are read: with it, single precision overflows nowhere. `reference` measures at most
 64."""
+
+LARGEST_DESCRIPTOR = 1e15
+"""Largest number of a descriptor that is read: sums of the squares of thousands are finite in single precision. Chosen,
+far beyond any network's; sensitivity not measured."""
 
 
 class Recognition(Metadata):
@@ -96,12 +101,16 @@ class ReferenceKeypoints(Artifact):
 
     @cached_property
     def descriptors(self) -> np.ndarray:
-        """Descriptors (k, d) float32; `BadData` if they are not finite."""
+        """Descriptors (k, d) float32; `BadData` if they are not finite, or above `LARGEST_DESCRIPTOR`."""
         import numpy as np
 
         descriptors = read_all(self.group, "descriptors", self.path)
         if not np.isfinite(descriptors).all():
             raise BadData(self.path, "descriptors", expected="finite numbers", got="NaN or infinity", fix=REMAKE)
+        largest = float(np.abs(descriptors).max(initial=0))
+        if largest > LARGEST_DESCRIPTOR:
+            expected = f"numbers of at most {LARGEST_DESCRIPTOR:g}"
+            raise BadData(self.path, "descriptors", expected=expected, got=f"{largest:g}", fix=REMAKE)
         return descriptors
 
     @cached_property
@@ -170,7 +179,8 @@ def _in_words(pick: Pick) -> str:
     if known is None:
         return "expected error not measured, as no other frame of a scan shows it"
     own = ", its own scan: expect more in others" if known.scans == (pick.recording,) else ""
+    frames, ambiguity = number_of(known.n_frames, "frame"), "; ambiguous" if known.is_ambiguous else ""
     return (
         f"expected error {1000 * known.error:.0f} mm, found within 20 mm in {known.share_found:.0%} of "
-        f"{known.n_frames} frames of {', '.join(known.scans)}{own}{'; ambiguous' if known.is_ambiguous else ''}"
+        f"{frames} of {', '.join(known.scans)}{own}{ambiguity}"
     )

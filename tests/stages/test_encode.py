@@ -406,6 +406,11 @@ def test_alpha_and_tau_are_those_measured_for_the_references_unless_told_otherwi
     assert settings_of(EncodeParams(settings="paper"), measured) == settings_of(EncodeParams(settings="paper"))
 
 
+def test_a_temperature_beyond_single_precision_is_refused() -> None:
+    with pytest.raises(ValueError, match="less than or equal to 1000000"):
+        EncodeParams(alpha=1e308)
+
+
 # Truth ----------------------------------------------------------------------------------------------------------------
 
 
