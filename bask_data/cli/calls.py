@@ -8,7 +8,7 @@ from typing import Any
 
 from bask_data.cli.options import given_options, names_of
 from bask_data.cli.working import quoted, request_of
-from bask_data.dataset import Dataset, check_name
+from bask_data.dataset import Dataset, Variant, check_name
 from bask_data.engine import RunRequest, Stage, Task, is_follower, planned
 from bask_data.errors import UsageError
 from bask_data.pipeline import STAGES
@@ -37,7 +37,9 @@ class StageCall:
         own = {input_.artifact.kind for input_ in self.stage.inputs if input_.artifact.has_variants}
         shared = [input_.artifact.kind for input_ in later[0].inputs if input_.artifact.kind in own]
         variant = request.variant or "main"
-        variants = {makes.kind: variant, **{kind: request.variant_inputs.get(kind, variant) for kind in shared}}
+        # Without the option, the variant keeps the inputs that it was made from.
+        inputs = {**self.dataset.variants(makes).get(variant, Variant()).inputs, **request.variant_inputs}
+        variants = {makes.kind: variant, **{kind: inputs.get(kind, variant) for kind in shared}}
         words = [f"--{kind} {name}" for kind, name in variants.items() if name != "main"]
         return " ".join([f"bask-data {later[0].name} {root}", *words])
 
