@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
+from bask_data.spelling import number_of
+
 if TYPE_CHECKING:
     from bask_data.core.paired_bootstrap import Difference
     from bask_data.evaluation.study_tracks import Method, Tracked
@@ -67,7 +69,8 @@ def comparison_lines(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     if not found:
         return
     n = max(pair["difference"]["all"]["n_demonstrations"] for pair in found)
-    yield f"{f'  difference of means, mm, {n} demonstrations':<46}" + "".join(f"{phase:>24}" for phase in PRINTED)
+    title = f"  difference of means, mm, {number_of(n, 'demonstration')}"
+    yield f"{title:<46}" + "".join(f"{phase:>24}" for phase in PRINTED)
     for pair in found:
         cells = "".join(f"{_written(pair['difference'][phase]):>24}" for phase in PRINTED)
         yield f"    {pair['a'] + ' - ' + pair['b']:<62}" + cells

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from bask_data.core.filters.calibrated import range_text
 from bask_data.kinds import Camera, Pick, Recording, Scan
 from bask_data.progress import note, progress
 
@@ -84,8 +85,5 @@ def calibration_text(calibration: Calibration | None) -> str:
     """A calibration in a line."""
     if calibration is None:
         return "alpha and tau: not measured, as too few frames of scans show the keypoints; filters use their defaults"
-    alpha, ratio = sorted(calibration.alpha), sorted(calibration.tau_ratio)
-    return (
-        f"alpha and tau: measured, alpha {alpha[0]:.2g} to {alpha[-1]:.2g}, tau {ratio[0]:.2g} to {ratio[-1]:.2g} "
-        "times the likelihood of an image's average pixel"
-    )
+    alpha, ratio = range_text(calibration.alpha), range_text(calibration.tau_ratio)
+    return f"alpha and tau: measured, alpha {alpha}, tau {ratio} times the likelihood of an image's average pixel"

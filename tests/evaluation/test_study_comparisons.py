@@ -93,4 +93,5 @@ def test_the_printed_comparison_has_the_difference_and_its_interval(tracks: list
     lines = list(comparison_lines(comparisons(tracks, METHODS, 0)))
     assert "6 demonstrations" in lines[0] and "out of view" in lines[0]
     assert lines[1].split("  ")[-1].strip() == "10.0 [10.0, 10.0]"
+    assert "1 demonstration " in next(comparison_lines(comparisons(tracks[:1], METHODS, 0)))
     assert not list(comparison_lines([]))

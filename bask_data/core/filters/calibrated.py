@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from bask_data.core.filters.table import FilterSettings, PerKeypoint, SettingsName, filter_named, settings_named
@@ -56,5 +57,11 @@ def _range(value: PerKeypoint) -> str:
     """A setting in words."""
     if not isinstance(value, tuple):
         return f"{value:.2g}"
-    least, most = f"{min(value):.2g}", f"{max(value):.2g}"
-    return f"{least if least == most else f'{least} to {most}'} (measured)"
+    return f"{range_text(value)} (measured)"
+
+
+def range_text(values: Iterable[float]) -> str:
+    """The smallest and the largest of some numbers, to two digits, or the one number that both are."""
+    among = list(values)
+    least, most = f"{min(among):.2g}", f"{max(among):.2g}"
+    return least if least == most else f"{least} to {most}"

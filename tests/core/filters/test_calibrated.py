@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bask_data.core.calibration import Calibration
-from bask_data.core.filters.calibrated import calibrated_settings, likelihood_text
+from bask_data.core.filters.calibrated import calibrated_settings, likelihood_text, range_text
 from bask_data.core.filters.heatmap import unseen_likelihood
 from bask_data.core.filters.particle.settings import IF_CALIBRATED, ParticleSettings
 from bask_data.core.filters.table import FILTERS, settings_named
@@ -58,3 +58,8 @@ def test_the_text_says_what_is_used_and_whether_it_was_measured() -> None:
     assert text == "alpha 2 to 4 (measured), tau 0.5 to 2 (measured) times the likelihood of an image's average pixel"
     assert likelihood_text(calibrated_settings("expectation", MEASURED)) == "alpha 32 (measured)"
     assert likelihood_text(settings_named("particle", tau=0.1)) == "alpha 2, tau 0.1"
+
+
+def test_numbers_that_look_the_same_are_written_once() -> None:
+    assert range_text(np.array([2.0, 2.004])) == "2"
+    assert range_text((6.0, 5.0)) == "5 to 6"
