@@ -164,7 +164,8 @@ def _picks_of(dataset: Dataset, variant: str, objects: Sequence[str]) -> list[Pi
     on = points_on_objects(picks, known_of(dataset, picks)).names
     mine = [pick for pick, name in zip(picks, on, strict=True) if name in objects and whole(dataset, pick.recording)]
     if not mine:
-        raise UsageError(dataset.root, "--reference", expected=f"picks on {', '.join(objects)}", got="none")
+        fix = "leave out the demonstrations of other objects, with --demonstrations, or pick on these."
+        raise UsageError(dataset.root, "--reference", expected=f"picks on {', '.join(objects)}", got="none", fix=fix)
     return mine
 
 

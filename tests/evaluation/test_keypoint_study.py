@@ -318,7 +318,7 @@ def test_reference_keypoints_of_the_dataset_can_be_tracked(studied: Dataset) -> 
 
     publish_artifact(studied, ReferenceKeypoints, "", fill)
     assert points_to_track(studied, ["tin"], 16, "main", 0) == picks[2:]
-    with pytest.raises(UsageError, match="--reference: expected picks on pan, got none"):
+    with pytest.raises(UsageError, match="--reference: expected picks on pan, got none.  fix: leave out the demonstr"):
         points_to_track(studied, ["pan"], 16, "main", 0)
     with pytest.raises(UsageError, match="--reference: expected one of main, made, got other"):
         points_to_track(studied, ["tin"], 16, "other", 0)
