@@ -168,7 +168,7 @@ def test_a_smaller_image_gives_pixels_of_the_whole_one(tmp_path: Path, scale: fl
     np.testing.assert_allclose(found.mean[:, :2], (points - 127.5) / 300.0 * 0.5, atol=0.15 / 300 * 0.5 + 1e-9)
 
 
-@pytest.mark.parametrize("scale", [0.0, -0.5, 1.5])
+@pytest.mark.parametrize("scale", [0.0, -0.5, 1.5, float("nan")])
 def test_a_scale_that_does_not_save_time_is_refused(tmp_path: Path, scale: float) -> None:
     picks = [Pick(name="a", recording="a", camera="wrist", frame=0, u=0, v=0)]
     ReferenceKeypoints.write(tmp_path / "r", descriptors=np.zeros((1, 2), np.float32), picks=picks)

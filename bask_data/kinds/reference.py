@@ -177,7 +177,7 @@ def recognition_lines(picks: Sequence[Pick]) -> list[str]:
 def _in_words(pick: Pick) -> str:
     known = pick.recognition
     if known is None:
-        return "expected error not measured, as no other frame of a scan shows it"
+        return "expected error not measured, as no other frame of a scan shows it; objects move in demonstrations"
     own = ", its own scan: expect more in others" if known.scans == (pick.recording,) else ""
     frames, ambiguity = number_of(known.n_frames, "frame"), "; ambiguous" if known.is_ambiguous else ""
     return (

@@ -44,7 +44,7 @@ def test_the_summary_names_each_expected_error_and_what_is_ambiguous(kept):
         "knob: expected error 13 mm, found within 20 mm in 75% of 8 frames of b, c",
         "rim: expected error 80 mm, found within 20 mm in 0% of 1 frame of a, its own scan: expect more in others; "
         "ambiguous",
-        "handle: expected error not measured, as no other frame of a scan shows it",
+        "handle: expected error not measured, as no other frame of a scan shows it; objects move in demonstrations",
         "ambiguous, as several places look the same: rim.  fix: pick others with --pick, or expect a track that jumps "
         "between these places.",
     ]
