@@ -131,16 +131,10 @@ def _fitted(
     # Below, a ratio is zero in single precision.
     least, log_ratio_of_tau = np.log(np.finfo(np.float32).tiny), -alpha * crossing
     if np.isclose(alpha, LEAST_ALPHA):
-        usual = -alpha * _median(evidence.true - _level(evidence.true_level, alpha), true_weight)
+        above = evidence.true - _level(evidence.true_level, alpha)
+        usual = -alpha * np.quantile(above, 0.5, weights=true_weight, method="inverted_cdf")
         log_ratio_of_tau = min(log_ratio_of_tau, usual + np.log(UNTOLD_TAU))
     return alpha, float(np.exp(np.clip(log_ratio_of_tau, least, np.log(MOST_TAU_RATIO))))
-
-
-def _median(values: Float[ndarray, "n"], weight: Float[ndarray, "n"]) -> float:
-    """The weighted median."""
-    order = np.argsort(values, kind="stable")
-    total = np.cumsum(weight[order])
-    return float(values[order][min(int(np.searchsorted(total, 0.5 * total[-1])), len(order) - 1)])
 
 
 def _level(levels: Float[ndarray, "n a"], alpha: float) -> Float[ndarray, "n"]:
