@@ -25,7 +25,7 @@ from bask_data.core.rivals import measured_evidence
 from bask_data.dataset import Dataset
 from bask_data.kinds import Scan, Truth
 from bask_data.kinds.places import object_poses
-from bask_data.stages.keypoint_evidence import N_MEASURED_VIEWS, spread_frames
+from bask_data.stages.keypoint_evidence import N_MEASURED_VIEWS, measured_frames
 
 CAMERA, SEED = "wrist", 0
 TABLE = "filters, tuning"
@@ -52,7 +52,7 @@ def measured(task: str, keypoints: Keypoints, every: int) -> Calibration | None:
     recorded = Coarse(scan, truth, object_poses(truth), (CAMERA,), every)
     places = [transform(recorded.poses[label][0], point) for label, point in zip(*points_of(keypoints), strict=True)]
     views = [
-        recorded.observation(camera.name, i, keypoints) for camera, i in spread_frames(scan.cameras, N_MEASURED_VIEWS)
+        recorded.observation(camera.name, i, keypoints) for camera, i in measured_frames(scan.cameras, N_MEASURED_VIEWS)
     ]
     evidence = measured_evidence(np.stack(places), views, np.full(len(places), -1))
     return calibrated(evidence, len(places))

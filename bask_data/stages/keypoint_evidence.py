@@ -26,7 +26,7 @@ class ScanViews:
     """Some frames of a scan as observations of keypoints, whose distance maps are computed each time they are read."""
 
     def __init__(self, scan: Scan, descriptors: np.ndarray, network: DescriptorNetwork) -> None:
-        self.frames = spread_frames(scan.cameras, N_MEASURED_VIEWS)
+        self.frames = measured_frames(scan.cameras, N_MEASURED_VIEWS)
         self._descriptors, self._network = descriptors, network
         self._cells: list[torch.Tensor] = [
             network.cells(camera.rgb(i)) for camera, i in progress(self.frames, "measuring distances")
@@ -40,7 +40,7 @@ class ScanViews:
             yield Observation(maps, camera.depth(i), camera.K, camera.world_from_cameras[i])
 
 
-def spread_frames(cameras: Sequence[Camera], n: int) -> list[tuple[Camera, int]]:
+def measured_frames(cameras: Sequence[Camera], n: int) -> list[tuple[Camera, int]]:
     """About n frames, as many of each camera, evenly over its time; all where there are fewer."""
     n_each = -(-n // len(cameras))
     return [

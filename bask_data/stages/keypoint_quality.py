@@ -119,7 +119,7 @@ def search(
     for name, (scan, masks) in scans.items():
         if all(len(pool.scans) >= ENOUGH_SCANS for pool in pools):
             return
-        views = [view_of(camera, i_frame, network, masks) for camera, i_frame in spread_frames(scan, masks)]
+        views = [view_of(camera, i_frame, network, masks) for camera, i_frame in searched_frames(scan, masks)]
         for pool in pools:
             found = elsewhere(pool, views, seed) if len(views) > 1 else None
             if found is not None:
@@ -194,7 +194,7 @@ def of_picks(
     completed = list(picks)
     for name in dict.fromkeys(pick.recording for pick in picks if pick.recording in scans):
         mine = [i for i, pick in enumerate(picks) if pick.recording == name and pick.point_world is not None]
-        frames = spread_frames(scans[name], masks.get(name))
+        frames = searched_frames(scans[name], masks.get(name))
         views = [view_of(camera, i_frame, network, masks.get(name)) for camera, i_frame in frames]
         numbers = {(camera.name, i_frame): i for i, (camera, i_frame) in enumerate(frames)}
         own_view = np.array([numbers.get((picks[i].camera, picks[i].frame), -1) for i in mine])
@@ -206,7 +206,7 @@ def of_picks(
     return completed
 
 
-def spread_frames(scan: Scan, masks: VisibleMasks | None) -> list[tuple[Camera, int]]:
+def searched_frames(scan: Scan, masks: VisibleMasks | None) -> list[tuple[Camera, int]]:
     """At most `N_FRAMES` frames of a scan, evenly spaced among those that show objects, or all without masks."""
     import numpy as np
 

@@ -7,7 +7,7 @@ from bask_data import progress
 from bask_data.core.calibration import LEAST_SIGHTINGS
 from bask_data.dataset import Dataset
 from bask_data.kinds import Demonstration, Pick, Scan
-from bask_data.stages.keypoint_evidence import N_MEASURED_VIEWS, ScanViews, calibration_text, measured, spread_frames
+from bask_data.stages.keypoint_evidence import N_MEASURED_VIEWS, ScanViews, calibration_text, measured, measured_frames
 from tests.nn import pairs
 from tests.picker.pickable import untrained
 from tests.stages.learning import publish_views
@@ -94,7 +94,7 @@ class _Camera:
 
 def test_frames_are_spread_over_cameras_and_time() -> None:
     short, long = _Camera(3), _Camera(100)
-    frames = spread_frames([short, long], 8)  # type: ignore[list-item]
+    frames = measured_frames([short, long], 8)  # type: ignore[list-item]
     assert [i for camera, i in frames if camera is short] == [0, 1, 2]
     assert [i for camera, i in frames if camera is long] == [0, 25, 50, 75]
-    assert len(spread_frames([long], N_MEASURED_VIEWS)) == N_MEASURED_VIEWS  # type: ignore[list-item]
+    assert len(measured_frames([long], N_MEASURED_VIEWS)) == N_MEASURED_VIEWS  # type: ignore[list-item]
