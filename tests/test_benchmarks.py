@@ -1,19 +1,14 @@
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import json
-import sys
 from pathlib import Path
 
 import pytest
 
-REPOSITORY = Path(__file__).parent.parent
-SPEC = importlib.util.spec_from_file_location("benchmarks_run", REPOSITORY / "benchmarks" / "run.py")
-assert SPEC is not None
-run = importlib.util.module_from_spec(SPEC)
-sys.modules["benchmarks_run"] = run
-SPEC.loader.exec_module(run)
+from tests.scripts import script
+
+run = script("benchmarks/run.py", "benchmarks_run")
 
 
 @pytest.fixture

@@ -1,19 +1,13 @@
 from __future__ import annotations
 
 import copy
-import importlib.util
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-REPOSITORY = Path(__file__).parent.parent
-SPEC = importlib.util.spec_from_file_location("keypoint_sets", REPOSITORY / "benchmarks" / "keypoint_sets.py")
-assert SPEC is not None
-keypoint_sets = importlib.util.module_from_spec(SPEC)
-sys.modules["keypoint_sets"] = keypoint_sets
-SPEC.loader.exec_module(keypoint_sets)
+from tests.scripts import REPOSITORY, script
+
+keypoint_sets = script("benchmarks/keypoint_sets.py")
 
 
 @pytest.fixture

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import pytest
 
-FILE = Path(__file__).parent.parent / ".ci" / "structure.py"
-_spec = importlib.util.spec_from_file_location("structure", FILE)
-assert _spec is not None and _spec.loader is not None
-structure = importlib.util.module_from_spec(_spec)
-sys.modules["structure"] = structure
-_spec.loader.exec_module(structure)
+from tests.scripts import REPOSITORY, script
+
+structure = script(".ci/structure.py")
 
 
 def findings(rule: str, **texts: str) -> list[str]:
@@ -113,5 +106,5 @@ def test_a_number_with_a_word_and_what_is_no_number_are_not_found(text: str) -> 
 
 
 def test_the_package_keeps_the_rules() -> None:
-    modules = structure.read(FILE.parent.parent / "bask_data")
+    modules = structure.read(REPOSITORY / "bask_data")
     assert [finding for rule in structure.RULES for finding in rule(modules)] == []

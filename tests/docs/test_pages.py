@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import subprocess
 import sys
-from pathlib import Path
 from types import ModuleType
 
 import pytest
 import yaml
 
-REPOSITORY = Path(__file__).parents[2]
+from tests.scripts import REPOSITORY, script
 
 
 @pytest.fixture(scope="module")
 def pages() -> ModuleType:
     """The hook of mkdocs, which is a file and no package."""
-    spec = importlib.util.spec_from_file_location("site_pages", REPOSITORY / "docs" / "site" / "pages.py")
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("docs/site/pages.py", "site_pages")
 
 
 def test_the_index_of_decisions_lists_every_note_once(pages: ModuleType) -> None:

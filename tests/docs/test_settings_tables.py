@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -15,17 +13,12 @@ from bask_data.engine import resolve
 from bask_data.pipeline import STAGES
 from bask_data.presets import PRESETS
 from bask_data.stages.train import TrainParams, train
-
-REPOSITORY = Path(__file__).parents[2]
+from tests.scripts import REPOSITORY, script
 
 
 @pytest.fixture(scope="module")
 def tables() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("settings_tables", REPOSITORY / "docs" / "settings_tables.py")
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("docs/settings_tables.py")
 
 
 def cells_of(page: str, name: str) -> dict[str, dict[str, str]]:
