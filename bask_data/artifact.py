@@ -16,7 +16,6 @@ import socket
 import uuid
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -25,6 +24,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from bask_data.errors import BadData
 from bask_data.params import first_fault
+from bask_data.specs import ArraySpec, TableSpec
 
 if TYPE_CHECKING:
     import zarr
@@ -47,30 +47,6 @@ class Metadata(BaseModel):
     """Base of a kind's metadata: the attribute `bask` of its group, without `kind` and `schema`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-@dataclass(frozen=True)
-class ArraySpec:
-    """Schema of an array.
-
-    Args:
-        dims: names of the axes; equal names mean equal lengths (t, h, w: within a camera).
-        optional: the array may be absent.
-    """
-
-    dims: tuple[str, ...]
-    dtype: str
-    description: str
-    units: str = ""
-    attributes: tuple[str, ...] = ()
-    optional: bool = False
-
-
-@dataclass(frozen=True)
-class TableSpec:
-    """Schema of a Parquet file: columns in order, each with an Arrow type and a description."""
-
-    columns: dict[str, tuple[str, str]] = field(default_factory=dict)
 
 
 class FileEntry(BaseModel):

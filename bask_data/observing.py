@@ -41,7 +41,7 @@ def moment_of(cameras: Iterable[Camera], i_frame: int) -> Moment:
     return Moment(
         images={camera.name: camera.rgb(i_frame) for camera in cameras},
         depths={camera.name: camera.depth(i_frame) for camera in cameras},
-        intrinsics={camera.name: camera.K for camera in cameras},
+        intrinsics={camera.name: camera.Ks[i_frame] for camera in cameras},
         world_from_cameras={camera.name: camera.world_from_cameras[i_frame] for camera in cameras},
     )
 

@@ -26,6 +26,7 @@ def schema_of(kind: type[Artifact]) -> dict[str, Any]:
         "arrays": {
             name: {
                 "dims": list(spec.dims),
+                **({"other_dims": list(spec.other_dims)} if spec.other_dims else {}),
                 "dtype": spec.dtype,
                 "units": spec.units,
                 "description": spec.description,

@@ -111,11 +111,13 @@ def _schema(artifact: Artifact, root: Path) -> Iterator[Problem]:
         shape, dtype = document.get("shape", []), document.get("data_type")
         if dtype != spec.dtype:
             yield Problem(f"{where}/{name}", f"data_type: expected {spec.dtype}, got {dtype}.", REMAKE)
-        if len(shape) != len(spec.dims):
-            yield Problem(f"{where}/{name}", f"shape: expected ({', '.join(spec.dims)}), got {shape}.", REMAKE)
+        dims = spec.dims_of(len(shape))
+        if dims is None:
+            expected_dims = " or ".join(f"({', '.join(axes)})" for axes in (spec.dims, spec.other_dims) if axes)
+            yield Problem(f"{where}/{name}", f"shape: expected {expected_dims}, got {shape}.", REMAKE)
             continue
         camera = name.split("/")[0] if "{camera}/" + name.split("/", 1)[-1] in artifact.arrays else ""
-        for dim, length in zip(spec.dims, shape, strict=True):
+        for dim, length in zip(dims, shape, strict=True):
             if dim.isdigit():
                 expected, reason = int(dim), ""
             else:

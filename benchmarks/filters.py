@@ -80,7 +80,7 @@ class Recorded:
     def coordinates(self, camera: str, i_frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Label (h, w) of each pixel, and its place on that object (h, w, 3), metres, frame of the object."""
         depth, labels = self.truth.depth(camera, i_frame), self.truth.instance(camera, i_frame)
-        K = self.demonstration.camera(camera).K
+        K = self.demonstration.camera(camera).Ks[i_frame]
         world_from_camera = self.truth.world_from_cameras(camera)[i_frame]
         points = transform(world_from_camera, unproject(pixel_grid(*depth.shape), depth.astype(np.float64), K))
         for label, world_from_objects in self.poses.items():
@@ -95,7 +95,7 @@ class Recorded:
         return Observation(
             distance=distances(labels, points, keypoints),
             depth=seen.depth(i_frame),
-            K=seen.K,
+            K=seen.Ks[i_frame],
             world_from_camera=seen.world_from_cameras[i_frame],
         )
 

@@ -120,14 +120,14 @@ def drawn(points: Points, n: int, rng: np.random.Generator) -> Points:
 def depth_of(camera: Camera, i_frame: int) -> tuple[np.ndarray, np.ndarray]:
     """Depth at the resolution of the distance maps, which is denser where it is sparse, and its intrinsics."""
     size = (camera.height // SPACING, camera.width // SPACING)
-    K = scale_intrinsics(camera.K, (camera.height, camera.width), size)
+    K = scale_intrinsics(camera.Ks[i_frame], (camera.height, camera.width), size)
     return shrink_depth(camera.depth(i_frame), size), K
 
 
 def pixels(camera: Camera, i_frame: int, points: np.ndarray) -> np.ndarray:
     """Pixels (n, 2) of world points (n, 3) in a frame."""
     camera_from_world = np.linalg.inv(camera.world_from_cameras[i_frame])
-    return project(transform(camera_from_world, points), camera.K)[0]
+    return project(transform(camera_from_world, points), camera.Ks[i_frame])[0]
 
 
 def runs(seen: np.ndarray) -> Iterator[tuple[int, int]]:

@@ -100,7 +100,7 @@ def test_between_described_frames_pixels_follow_the_camera(
     camera = demonstration.camera("wrist")
     for i_frame in (6, 7):  # The camera looks away here.
         found = step(tracker, demonstration, i_frame, "wrist")
-        at = View(camera.K, camera.world_from_cameras[i_frame]).pixels(found.mean)
+        at = View(camera.Ks[i_frame], camera.world_from_cameras[i_frame]).pixels(found.mean)
         np.testing.assert_allclose(found.pixel["wrist"], at, atol=1e-9)
         assert not found.observed["wrist"].any()
     tracker = KeypointTracker(ColourNetwork(), reference, settings_named(filter), every=3)

@@ -30,7 +30,9 @@ class Robot:
 
     def frames(self) -> dict[str, SimpleNamespace]:
         return {
-            name: SimpleNamespace(rgb=camera.rgb(self._now), depth_mm=camera.depth(self._now) * 1000, K=camera.K)
+            name: SimpleNamespace(
+                rgb=camera.rgb(self._now), depth_mm=camera.depth(self._now) * 1000, K=camera.Ks[self._now]
+            )
             for name, camera in self._cameras.items()
         }
 

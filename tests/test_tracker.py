@@ -55,7 +55,7 @@ def stepped(tracker: KeypointTracker, demonstration: Demonstration, i_frame: int
     return tracker.step(
         images={camera.name: camera.rgb(i_frame) for camera in cameras},
         depths={camera.name: camera.depth(i_frame) for camera in cameras},
-        intrinsics={camera.name: camera.K for camera in cameras},
+        intrinsics={camera.name: camera.Ks[i_frame] for camera in cameras},
         world_from_cameras={camera.name: camera.world_from_cameras[i_frame] for camera in cameras},
         world_from_gripper=demonstration.robot.world_from_gripper[i_frame],
     )
@@ -181,7 +181,7 @@ def test_arrays_may_be_reused_by_the_caller(
 ) -> None:
     tracker, reusing = (KeypointTracker(ColourNetwork(), reference, settings_of(filter), seed=SEED) for _ in range(2))
     camera = demonstration.camera("wrist")
-    depth, K, pose, gripper = camera.depth(0).copy(), camera.K.copy(), np.eye(4), np.eye(4)
+    depth, K, pose, gripper = camera.depth(0).copy(), camera.Ks[0].copy(), np.eye(4), np.eye(4)
     for i_frame in range(4):
         depth[:], pose[:] = camera.depth(i_frame), camera.world_from_cameras[i_frame]
         gripper[:] = demonstration.robot.world_from_gripper[i_frame]
@@ -202,7 +202,7 @@ def test_depth_that_is_not_finite_is_no_measurement(
         given = (
             {"wrist": camera.rgb(0)},
             {"wrist": depth},
-            {"wrist": camera.K},
+            {"wrist": camera.Ks[0]},
             {"wrist": camera.world_from_cameras[0]},
         )
         found.append(tracker.step(*given))
@@ -229,7 +229,7 @@ def test_images_whose_size_changes_are_refused(demonstration: Demonstration, ref
     camera = demonstration.camera("wrist")
     image, depth = np.zeros((8, 8, 3), np.uint8), np.ones((8, 8), np.float32)
     with pytest.raises(ValueError, match=r"camera wrist: image: expected \(\d+, \d+\) as before, got \(8, 8\)"):
-        tracker.step({"wrist": image}, {"wrist": depth}, {"wrist": camera.K}, {"wrist": np.eye(4)})
+        tracker.step({"wrist": image}, {"wrist": depth}, {"wrist": camera.Ks[0]}, {"wrist": np.eye(4)})
 
 
 def test_before_any_frame_nothing_is_known(demonstration: Demonstration, reference: ReferenceKeypoints) -> None:

@@ -77,10 +77,10 @@ def _image_jacobian(points_world: np.ndarray, camera: Camera, i_frame: int) -> n
     x, y, z = transform(camera_from_world, points_world).T
     with np.errstate(divide="ignore", invalid="ignore"):
         rows = [[1 / z, np.zeros_like(z), -x / z**2], [np.zeros_like(z), 1 / z, -y / z**2]]
-    return camera.K[:2, :2] @ np.moveaxis(np.array(rows), 2, 0) @ camera_from_world[:3, :3]
+    return camera.Ks[i_frame, :2, :2] @ np.moveaxis(np.array(rows), 2, 0) @ camera_from_world[:3, :3]
 
 
 def _pixels(points_world: np.ndarray, camera: Camera, i_frame: int) -> np.ndarray:
     """Pixels (n, 2) of world points in a frame of the camera."""
     camera_from_world = invert_rigid(camera.world_from_cameras[i_frame])
-    return project(transform(camera_from_world, points_world.astype(np.float64)), camera.K)[0]
+    return project(transform(camera_from_world, points_world.astype(np.float64)), camera.Ks[i_frame])[0]

@@ -76,7 +76,7 @@ def matches_of(dataset: Dataset, scene: str) -> MatchScore:
         uv_a, uv_b = (np.stack([column[f"u_{one}"][mine], column[f"v_{one}"][mine]], axis=1) for one in "ab")
         places = [(pair[f"camera_{one}"], pair[f"frame_{one}"]) for one in "ab"]
         a, b = (
-            TrueView(*seen(camera, i), scan.camera(camera).K, truth.world_from_cameras(camera)[i])
+            TrueView(*seen(camera, i), scan.camera(camera).Ks[i], truth.world_from_cameras(camera)[i])
             for camera, i in places
         )
         found = match_errors(uv_a, uv_b, a, b)

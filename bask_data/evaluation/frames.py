@@ -64,9 +64,10 @@ class Frames:
         """(height, width) of a camera's images."""
         return self._cameras[camera].height, self._cameras[camera].width
 
-    def K(self, camera: str) -> np.ndarray:
-        """Intrinsics (3, 3) of a camera."""
-        return self._cameras[camera].K
+    def K(self, frame: Frame) -> np.ndarray:
+        """Intrinsics (3, 3) of a frame, pixels."""
+        K: np.ndarray = self._cameras[frame.camera].Ks[frame.i]
+        return K
 
     def rgb(self, frame: Frame) -> np.ndarray:
         """Colours (h, w, 3) uint8."""
@@ -111,5 +112,5 @@ class Frames:
         v, u = np.nonzero((self.labels(frame) == label) & (depth > 0))
         chosen = np.linspace(0, len(u) - 1, min(n, len(u))).round().astype(int)
         u, v = u[chosen], v[chosen]
-        camera = unproject(np.stack([u, v], axis=1).astype(float), depth[v, u].astype(float), self.K(frame.camera))
+        camera = unproject(np.stack([u, v], axis=1).astype(float), depth[v, u].astype(float), self.K(frame))
         return transform(self.world_from_camera(frame), camera)

@@ -86,7 +86,7 @@ def _place(frames: Frames, frame: Frame, labels: Sequence[int], points_world: np
     from bask_data.core.geometry import in_image, invert_rigid, project, transform
 
     own = np.array(labels)
-    uv, z = project(transform(invert_rigid(frames.world_from_camera(frame)), points_world), frames.K(frame.camera))
+    uv, z = project(transform(invert_rigid(frames.world_from_camera(frame)), points_world), frames.K(frame))
     seen = shows(frames, frame, uv, z, own)
     inside = in_image(uv, *frames.size(frame.camera))
     state = np.where(own < 0, ABSENT, np.where(~inside, OUTSIDE, np.where(seen, SEEN, HIDDEN)))

@@ -94,6 +94,6 @@ def _by_correspondences(
         queries = queries_of(frames, a, uv_a, label, fill_depth(frames.depth(a)))
         columns = projected(frames, b, queries, visible)
         z = true_depth(frames.depth(b), frames.labels(b), uv_b)
-        points_b = unproject(uv_b, np.where(z > 0, z, np.nan), frames.K(b.camera))
+        points_b = unproject(uv_b, np.where(z > 0, z, np.nan), frames.K(b))
         pairs.append(PairMatches(frames.scene, a, b, False, **{**columns, "uv_b": uv_b, "points_b": points_b}))
     return pairs

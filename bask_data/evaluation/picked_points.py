@@ -52,7 +52,7 @@ def picked_points(dataset: Dataset, scenes: Sequence[str], end: float, n: int, s
     frame = max(frames.between(0.0, end, MOST_VIEWS), key=lambda frame: _shown(frames, frame))
     labels, depth, world = frames.labels(frame), frames.depth(frame), frames.world_from_camera(frame)
     uv, label = drawn_pixels(frames, frame, depth > 0, n, rng)
-    points = transform(world, surface_tangents(uv, depth, labels, frames.K(frame.camera))[0])
+    points = transform(world, surface_tangents(uv, depth, labels, frames.K(frame))[0])
     poses = _world_from_objects(frames)
     return PickedPoints(
         frames.scene,

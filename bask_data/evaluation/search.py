@@ -114,5 +114,5 @@ def _error_3d(frames: Frames, pair: PairMatches, best: np.ndarray) -> np.ndarray
     from bask_data.core.match_errors import true_depth
 
     z = true_depth(frames.depth(pair.b), frames.labels(pair.b), best)
-    points = unproject(best, np.where(z > 0, z, np.nan), frames.K(pair.b.camera))
+    points = unproject(best, np.where(z > 0, z, np.nan), frames.K(pair.b))
     return np.linalg.norm(points - pair.points_b, axis=1)

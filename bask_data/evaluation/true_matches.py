@@ -48,7 +48,7 @@ def queries_of(frames: Frames, frame: Frame, uv: np.ndarray, label: np.ndarray, 
     from bask_data.core.geometry import transform
     from bask_data.core.local_warp import surface_tangents
 
-    K, world = frames.K(frame.camera), frames.world_from_camera(frame)
+    K, world = frames.K(frame), frames.world_from_camera(frame)
     points, tangents = surface_tangents(uv, depth, frames.labels(frame), K)
     magnification = K[1, 1] / points[:, 2] / frames.size(frame.camera)[0]
     return Queries(uv, label, transform(world, points), world[:3, :3] @ tangents, magnification)
@@ -91,7 +91,7 @@ def _clear(frames: Frames, frame: Frame) -> np.ndarray:
     """
     from bask_data.core.correspondences.matchable import matchable_view
 
-    K, world_from_camera = frames.K(frame.camera), frames.world_from_camera(frame)
+    K, world_from_camera = frames.K(frame), frames.world_from_camera(frame)
     depth, labels = frames.depth(frame), frames.labels(frame)
     known = matchable_view(depth, labels, K, world_from_camera, None, SMOOTH_TOLERANCE, EDGE_MARGIN_PX)
     return known.sure > 0
@@ -146,7 +146,7 @@ def _visible_shares(frames: Frames, frame: Frame, surface: dict[int, np.ndarray]
     from bask_data.core.local_warp import visible_share
 
     depth, labels = frames.depth(frame), frames.labels(frame)
-    camera = frames.K(frame.camera), frames.world_from_camera(frame)
+    camera = frames.K(frame), frames.world_from_camera(frame)
     result = np.full(256, np.nan)
     for label, points in surface.items():
         if (labels == label).any():
@@ -161,7 +161,7 @@ def projected(frames: Frames, b: Frame, queries: Queries, visible: np.ndarray) -
     from bask_data.core.geometry import invert_rigid, project, transform
     from bask_data.core.local_warp import image_warp, turn_of
 
-    K, b_from_world = frames.K(b.camera), invert_rigid(frames.world_from_camera(b))
+    K, b_from_world = frames.K(b), invert_rigid(frames.world_from_camera(b))
     points_b = transform(b_from_world, queries.points_world)
     uv_b, z = project(points_b, K)
     with np.errstate(divide="ignore", invalid="ignore"):

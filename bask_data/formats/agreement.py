@@ -87,9 +87,9 @@ def _share(
     n_close = n_measured = 0
     for a, b in pairs:
         seen = depths[a] > 0
-        points_a = unproject(pixel_grid(camera.height, camera.width)[seen], depths[a][seen], camera.K)
+        points_a = unproject(pixel_grid(camera.height, camera.width)[seen], depths[a][seen], camera.Ks[a])
         b_from_a = invert_rigid(world_from_cameras[b]) @ world_from_cameras[a]
-        uv, z = project(transform(b_from_a, points_a), camera.K)
+        uv, z = project(transform(b_from_a, points_a), camera.Ks[b])
         inside = in_image(uv, camera.height, camera.width)
         u, v = np.rint(uv[inside]).astype(int).T
         measured = depths[b][v, u]

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 from numpy import ndarray
 
@@ -15,6 +16,7 @@ class CameraRecording:
     """Frames of one camera.
 
     Args:
+        K: intrinsics of all frames, or of each, pixels.
         depth_scale: metres per unit of raw depth.
         time: seconds.
         read: RGB and raw depth of a frame, 0 = no measurement.
@@ -22,7 +24,7 @@ class CameraRecording:
     """
 
     name: str
-    K: Float[ndarray, "3 3"]
+    K: Float[ndarray, "3 3"] | Float[ndarray, "t 3 3"]
     height: int
     width: int
     depth_scale: float
@@ -35,6 +37,11 @@ class CameraRecording:
     def n_frames(self) -> int:
         """Number of frames."""
         return len(self.time)
+
+    @property
+    def Ks(self) -> Float[ndarray, "t 3 3"]:
+        """Intrinsics of each frame, pixels."""
+        return np.broadcast_to(self.K, (self.n_frames, 3, 3))
 
 
 @dataclass(frozen=True)

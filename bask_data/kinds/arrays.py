@@ -6,8 +6,9 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bask_data.artifact import REMAKE, ArraySpec, Artifact, write_group
+from bask_data.artifact import REMAKE, Artifact, write_group
 from bask_data.errors import BadData
+from bask_data.specs import ArraySpec
 
 if TYPE_CHECKING:
     import numpy as np
@@ -52,7 +53,7 @@ def write_array(group: zarr.Group, artifact: type[Artifact], name: str, data: np
         compressors=[zarr.codecs.ZstdCodec(level=5, checksum=True)],
         fill_value=0,
         attributes=_attributes(spec, attributes),
-        dimension_names=spec.dims,
+        dimension_names=spec.dims_of(data.ndim),
     )
     if data.size:
         array[...] = np.ascontiguousarray(data, dtype=spec.dtype)

@@ -8,9 +8,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bask_data.artifact import REMAKE, ArraySpec, Artifact, Metadata, read_json, write_group
+from bask_data.artifact import REMAKE, Artifact, Metadata, read_json, write_group
 from bask_data.errors import BadData
 from bask_data.kinds.arrays import FrameWriter, read_all, read_frame, start, write_array
+from bask_data.specs import ArraySpec
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,7 +26,11 @@ CAMERA_ARRAYS = {
         attributes=("scale_m",),
     ),
     "{camera}/intrinsics": ArraySpec(
-        ("3", "3"), "float64", "Pinhole matrix. Pixel (0, 0) is the centre of the top-left pixel.", "pixel"
+        ("3", "3"),
+        "float64",
+        "Pinhole matrix. Pixel (0, 0) is the centre of the top-left pixel.",
+        "pixel",
+        other_dims=("t", "3", "3"),
     ),
     "{camera}/world_from_camera": ArraySpec(
         ("t", "4", "4"),
@@ -68,14 +73,20 @@ class Camera:
         return self._rgb.shape[2]
 
     @cached_property
-    def K(self) -> np.ndarray:
-        """Pinhole matrix (3, 3) float64, pixels."""
+    def Ks(self) -> np.ndarray:
+        """Pinhole matrix of each frame (t, 3, 3) float64, pixels; the stored one repeated if there is only one."""
         import numpy as np
 
-        K = read_all(self._group, "intrinsics", self.path)
-        if K.shape != (3, 3) or not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
-            raise BadData(self.path, "intrinsics", expected="a pinhole matrix", got=str(K.tolist()), fix=REMAKE)
-        return K
+        stored = read_all(self._group, "intrinsics", self.path)
+        if stored.shape not in ((3, 3), (self.n_frames, 3, 3)):
+            expected = f"(3, 3) or ({self.n_frames}, 3, 3)"
+            raise BadData(self.path, "intrinsics", expected=expected, got=str(stored.shape), fix=REMAKE)
+        for i_frame, K in enumerate(stored.reshape(-1, 3, 3)):
+            if not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
+                field = "intrinsics" if stored.ndim == 2 else f"intrinsics {i_frame}"
+                raise BadData(self.path, field, expected="a pinhole matrix", got=str(K.tolist()), fix=REMAKE)
+        # Not a broadcast view: Numba would compile its loops a second time for read-only arrays.
+        return np.tile(stored, (self.n_frames, 1, 1)) if stored.ndim == 2 else stored
 
     @cached_property
     def world_from_cameras(self) -> np.ndarray:
@@ -119,7 +130,7 @@ class Camera:
 
         from bask_data.core.geometry import transform, unproject
 
-        points_camera = unproject(uv.astype(np.float64), depth.astype(np.float64), self.K)
+        points_camera = unproject(uv.astype(np.float64), depth.astype(np.float64), self.Ks[i_frame])
         return transform(self.world_from_cameras[i_frame], points_camera)
 
     @cached_property
@@ -136,7 +147,7 @@ class CameraFrames:
     """Frames of one camera to be written, read one at a time.
 
     Args:
-        K: (3, 3), pixels.
+        K: (3, 3), or (t, 3, 3) where it changes from frame to frame; pixels.
         world_from_cameras: (t, 4, 4), metres.
         time: (t,), seconds.
         depth_scale: metres per unit of raw depth.

@@ -9,9 +9,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from bask_data.artifact import REMAKE, Artifact, Metadata, TableSpec, write_group
+from bask_data.artifact import REMAKE, Artifact, Metadata, write_group
 from bask_data.errors import BadData
 from bask_data.kinds.tables import arrow_schema, read_table
+from bask_data.specs import TableSpec
 
 if TYPE_CHECKING:
     import numpy as np

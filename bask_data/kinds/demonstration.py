@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bask_data.artifact import ArraySpec, write_group
+from bask_data.artifact import write_group
 from bask_data.kinds.arrays import read_all, start, write_array
 from bask_data.kinds.cameras import CAMERA_ARRAYS, Recording, RecordingMetadata
+from bask_data.specs import ArraySpec
 
 if TYPE_CHECKING:
     import numpy as np

@@ -6,10 +6,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bask_data.artifact import MANIFEST, REMAKE, Artifact, Metadata, TableSpec, file_digest, read_json
+from bask_data.artifact import MANIFEST, REMAKE, Artifact, Metadata, file_digest, read_json
 from bask_data.errors import BadData
 from bask_data.kinds.arrays import start
 from bask_data.kinds.tables import read_table, write_table
+from bask_data.specs import TableSpec
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -8,8 +8,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bask_data.artifact import ArraySpec, Artifact, Metadata, write_group
+from bask_data.artifact import Artifact, Metadata, write_group
 from bask_data.kinds.arrays import RowWriter, read_all, spec_of, start
+from bask_data.specs import ArraySpec
 
 if TYPE_CHECKING:
     import numpy as np

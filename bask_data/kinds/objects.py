@@ -7,8 +7,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from bask_data.artifact import ArraySpec, Artifact, Metadata
+from bask_data.artifact import Artifact, Metadata
 from bask_data.kinds.arrays import read_all, start, write_array
+from bask_data.specs import ArraySpec
 
 if TYPE_CHECKING:
     import numpy as np

@@ -143,7 +143,7 @@ def picked_point(pick: Pick, known: Known | None) -> np.ndarray | None:
         return point
     world_from_camera = truth.world_from_cameras(pick.camera)[pick.frame]
     if known.recording is not None:
-        return transform(world_from_camera, unproject(uv, z, known.recording.camera(pick.camera).K))[0]
+        return transform(world_from_camera, unproject(uv, z, known.recording.camera(pick.camera).Ks[pick.frame]))[0]
     if point is None:
         return None
     # Without intrinsics, the exact point is found on the ray of the picked one.
@@ -192,7 +192,7 @@ def true_pixels(points_world: np.ndarray, camera: Camera, truth: Truth | None, i
     exact = truth if truth is not None and truth.has_depth and camera.name in truth.camera_names else None
     cameras = exact.world_from_cameras(camera.name) if exact else camera.world_from_cameras
     depth = exact.depth(camera.name, i_frame) if exact else camera.depth(i_frame)
-    uv, z = project(transform(invert_rigid(cameras[i_frame]), points_world), camera.K)
+    uv, z = project(transform(invert_rigid(cameras[i_frame]), points_world), camera.Ks[i_frame])
     inside = in_image(uv, camera.height, camera.width)
     u, v = np.rint(np.where(inside[:, None], uv, 0)).astype(int).T
     shown = depth[v.clip(0, depth.shape[0] - 1), u.clip(0, depth.shape[1] - 1)]

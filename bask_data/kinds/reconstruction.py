@@ -7,10 +7,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from bask_data.artifact import REMAKE, ArraySpec, Artifact, Metadata, TableSpec
+from bask_data.artifact import REMAKE, Artifact, Metadata
 from bask_data.errors import BadData
 from bask_data.kinds.arrays import read_all, start, write_array
 from bask_data.kinds.tables import read_table, write_table
+from bask_data.specs import ArraySpec, TableSpec
 
 if TYPE_CHECKING:
     import numpy as np

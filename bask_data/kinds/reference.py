@@ -7,9 +7,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bask_data.artifact import REMAKE, ArraySpec, Artifact, Metadata
+from bask_data.artifact import REMAKE, Artifact, Metadata
 from bask_data.errors import BadData
 from bask_data.kinds.arrays import read_all, start, write_array
+from bask_data.specs import ArraySpec
 from bask_data.spelling import number_of
 
 if TYPE_CHECKING:

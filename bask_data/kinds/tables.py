@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from bask_data.artifact import REMAKE, Artifact, TableSpec
+from bask_data.artifact import REMAKE, Artifact
 from bask_data.errors import BadData
+from bask_data.specs import TableSpec
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -69,7 +69,8 @@ class RecordedFrame:
     @property
     def K(self) -> np.ndarray:
         """Pinhole matrix (3, 3) float64, pixels; (0, 0) is the centre of the top-left pixel."""
-        return self._camera.K.copy()  # The camera's own is that of all its frames.
+        K: np.ndarray = self._camera.Ks[self.index].copy()
+        return K
 
     @property
     def world_from_camera(self) -> np.ndarray:
@@ -121,9 +122,25 @@ class RecordedFrames(Sequence[RecordedFrame]):
         return self._recording.robot if isinstance(self._recording, Demonstration) else None
 
     @property
+    def Ks(self) -> np.ndarray:
+        """Pinhole matrix of each frame (t, 3, 3) float64, pixels; (0, 0) is the centre of the top-left pixel."""
+        matrices: np.ndarray = self._camera.Ks[list(self._chosen)]
+        return matrices
+
+    @property
     def K(self) -> np.ndarray:
-        """Pinhole matrix (3, 3) float64 of all frames, pixels; (0, 0) is the centre of the top-left pixel."""
-        return self._camera.K.copy()
+        """Pinhole matrix (3, 3) float64 of all frames, pixels.
+
+        Raises:
+            UsageError: it changes from frame to frame.
+        """
+        Ks = self.Ks if len(self) else self._camera.Ks
+        if (Ks != Ks[:1]).any():
+            fix = "take .Ks, or .K of a frame."
+            expected, got = "the same pinhole matrix in all frames", "one that changes"
+            raise UsageError(self._recording.path, f"{self._camera.name}: K", expected=expected, got=got, fix=fix)
+        K: np.ndarray = Ks[0].copy()
+        return K
 
     @property
     def world_from_cameras(self) -> np.ndarray:

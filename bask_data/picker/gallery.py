@@ -221,7 +221,7 @@ class Gallery:
 
         camera = self.camera(frame)
         camera_from_world = invert_rigid(camera.world_from_cameras[frame.frame])
-        uv, z = project(transform(camera_from_world, point_world[None]), camera.K)
+        uv, z = project(transform(camera_from_world, point_world[None]), camera.Ks[frame.frame])
         if not in_image(uv, camera.height, camera.width)[0]:
             return None
         measured = float(self._depth(frame)[round(float(uv[0, 1])), round(float(uv[0, 0]))])

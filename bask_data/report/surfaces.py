@@ -162,8 +162,8 @@ def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: Obje
     if camera:
         i_frame = camera.n_frames // 2
         height, width = round(camera.height * PICTURE / camera.width), PICTURE
-        K = camera.K.copy()
-        K[:2, 2] = scale_pixels(camera.K[:2, 2], (camera.height, camera.width), (height, width))
+        K = camera.Ks[i_frame].copy()
+        K[:2, 2] = scale_pixels(K[:2, 2], (camera.height, camera.width), (height, width))
         K[:2, :2] *= np.array([[width / camera.width], [height / camera.height]])
         view = Viewpoint(K, camera.world_from_cameras[i_frame], height, width)
         if objects is None:

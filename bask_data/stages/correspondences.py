@@ -232,7 +232,7 @@ def _choose(
     instance = objects.vertex_instance[drawn]
     is_seen = []
     for camera in scan.cameras:
-        shown = seen(points, normals, camera.K, camera.world_from_cameras, camera.height, camera.width)
+        shown = seen(points, normals, camera.Ks, camera.world_from_cameras, camera.height, camera.width)
         if len(drawn) and surface is not None:
             for row, world_from_camera in zip(shown, camera.world_from_cameras, strict=True):
                 row[row] = unhidden(surface, points[row], world_from_camera)
@@ -284,7 +284,7 @@ def _view(
     return matchable_view(
         measured,
         masks.instance(i_frame),
-        camera.K,
+        camera.Ks[i_frame],
         camera.world_from_cameras[i_frame],
         surface,
         tolerance,

@@ -37,7 +37,7 @@ class ScanViews:
 
         for (camera, i), cells in zip(self.frames, self._cells, strict=True):
             maps = self._network.maps(cells, self._descriptors)
-            yield Observation(maps, camera.depth(i), camera.K, camera.world_from_cameras[i])
+            yield Observation(maps, camera.depth(i), camera.Ks[i], camera.world_from_cameras[i])
 
 
 def measured_frames(cameras: Sequence[Camera], n: int) -> list[tuple[Camera, int]]:

@@ -226,7 +226,7 @@ def view_of(camera: Camera, i_frame: int, network: DescriptorNetwork, masks: Vis
     return SelectionView(
         descriptors=network.describe(camera.rgb(i_frame)),
         depth=camera.depth(i_frame),
-        K=camera.K,
+        K=camera.Ks[i_frame],
         world_from_camera=camera.world_from_cameras[i_frame],
         instance=None if masks is None else masks.camera(camera.name).instance(i_frame),
     )

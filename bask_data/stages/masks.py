@@ -59,7 +59,7 @@ def masks(scan: Scan, reconstruction: Reconstruction, objects: ObjectInstances, 
     from bask_data.core.visibility import sensor
     from bask_data.core.visibility.completion import Completion
     from bask_data.core.visibility.labelled import LabelledSurface
-    from bask_data.core.visibility.surface import ray_directions
+    from bask_data.core.visibility.surface import CameraDirections
     from bask_data.core.visibility.visible import MeasuredFrame, visible_instances
 
     if len(objects.vertex_instance) != len(reconstruction.vertices):
@@ -87,15 +87,15 @@ def masks(scan: Scan, reconstruction: Reconstruction, objects: ObjectInstances, 
         if completion is not None:
             completion.finish()
         for camera in scan.cameras:
-            directions = ray_directions(camera.K, camera.height, camera.width)
+            directions = CameraDirections(camera.Ks, camera.height, camera.width)
             stream = writer.camera(camera.name, camera.n_frames, camera.height, camera.width)
             for i_frame in progress(range(camera.n_frames), f"masks of {camera.name}"):
                 frame = visible_instances(
                     surface,
                     MeasuredFrame(
                         _measured(camera, i_frame, params),
-                        directions,
-                        camera.K,
+                        directions[i_frame],
+                        camera.Ks[i_frame],
                         camera.world_from_cameras[i_frame],
                         camera.rgb(i_frame) if params.use_colour else None,
                     ),
@@ -122,22 +122,25 @@ def _measured(camera: Camera, i_frame: int, params: MasksParams) -> np.ndarray:
     return depth.filled(depth.in_range(camera.depth(i_frame), 0.0, params.far))
 
 
-def _surveyed(camera: Camera) -> np.ndarray:
+def _surveyed(camera: Camera) -> list[int]:
     """Frames spread evenly over a camera's path."""
     import numpy as np
 
-    return np.unique(np.linspace(0, camera.n_frames - 1, min(N_FRAMES_SURVEYED, camera.n_frames)).round().astype(int))
+    spread = np.linspace(0, camera.n_frames - 1, min(N_FRAMES_SURVEYED, camera.n_frames)).round().astype(int)
+    return [int(i_frame) for i_frame in np.unique(spread)]
 
 
 def _residuals(camera: Camera, surface: LabelledSurface, params: MasksParams) -> np.ndarray:
     import numpy as np
 
     from bask_data.core.visibility import sensor
-    from bask_data.core.visibility.surface import ray_directions
+    from bask_data.core.visibility.surface import CameraDirections
 
-    directions = ray_directions(camera.K, camera.height, camera.width)
+    directions = CameraDirections(camera.Ks, camera.height, camera.width)
     samples = [
-        sensor.residuals(surface, _measured(camera, i_frame, params), directions, camera.world_from_cameras[i_frame])
+        sensor.residuals(
+            surface, _measured(camera, i_frame, params), directions[i_frame], camera.world_from_cameras[i_frame]
+        )
         for i_frame in _surveyed(camera)
     ]
     return np.concatenate(samples) if samples else np.zeros((0, 2), np.float32)
@@ -152,16 +155,16 @@ def _survey(
 ) -> np.ndarray | None:
     """Pixels that show something fixed to the camera; None if these are not wanted. Carves the completion."""
     from bask_data.core.visibility.fixed_to_camera import confirmed, fixed_to_camera
-    from bask_data.core.visibility.surface import ray_directions
+    from bask_data.core.visibility.surface import CameraDirections
 
-    directions = ray_directions(camera.K, camera.height, camera.width)
+    directions = CameraDirections(camera.Ks, camera.height, camera.width)
 
     def looks() -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for i_frame in _surveyed(camera):
             depth, world_from_camera = _measured(camera, i_frame, params), camera.world_from_cameras[i_frame]
             if completion is not None:
-                completion.carve(depth, camera.K, world_from_camera, tolerance)
-            yield camera.rgb(i_frame), confirmed(surface, depth, directions, world_from_camera, tolerance)
+                completion.carve(depth, camera.Ks[i_frame], world_from_camera, tolerance)
+            yield camera.rgb(i_frame), confirmed(surface, depth, directions[i_frame], world_from_camera, tolerance)
 
     fixed = fixed_to_camera(looks(), camera.height, camera.width)
     return fixed if params.find_fixed else None

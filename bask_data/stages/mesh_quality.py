@@ -71,7 +71,7 @@ def compared(frames: list[FrameOfCamera], notes: list[Note], mesh: Mesh, bounds:
 
     surface = fit.FacedSurface(mesh.vertices, mesh.triangles)
     fits = [
-        fit.fit(note.sketch, camera.K, camera.world_from_cameras[i_frame], surface, bounds)
+        fit.fit(note.sketch, camera.Ks[i_frame], camera.world_from_cameras[i_frame], surface, bounds)
         for (camera, i_frame), note in zip(frames, notes, strict=True)
     ]
     return Comparison(surface, fits)
@@ -138,9 +138,9 @@ def _unmeasured(
     for k in spread_evenly(len(frames), N_SEARCHED):
         (camera, i_frame), sketch = frames[k], notes[k].sketch
         world_from_camera = camera.world_from_cameras[i_frame]
-        mesh_depth, _ = surface.cast(fit.sketch_rays(sketch, camera.K, world_from_camera))
+        mesh_depth, _ = surface.cast(fit.sketch_rays(sketch, camera.Ks[i_frame], world_from_camera))
         mesh_depth = mesh_depth.reshape(sketch.depth.shape)
-        views.append(unmeasured.SketchedView(sketch, camera.K, world_from_camera, mesh_depth))
+        views.append(unmeasured.SketchedView(sketch, camera.Ks[i_frame], world_from_camera, mesh_depth))
     return [
         UnmeasuredRegion(centre=region.centre, size=region.size, volume=region.volume)
         for region in unmeasured.unmeasured_regions(views, bounds)

@@ -202,7 +202,7 @@ def _survey(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) 
     for i_chosen in progress(spread_evenly(len(moved), N_SURVEYED), "looking over the scan"):
         camera, i_frame = moved[i_chosen]
         measured = depth.cleaned(camera.depth(i_frame), params.near, params.far)
-        view = (measured, camera.K, camera.world_from_cameras[i_frame])
+        view = (measured, camera.Ks[i_frame], camera.world_from_cameras[i_frame])
         clouds.append(workspace.sampled_points(*view))
         touched.append(tsdf.touched_blocks(*view, params.voxel_size, params.truncation))
     bounds = workspace.estimated_workspace(clouds)
@@ -252,7 +252,9 @@ def _fused(scan: Scan, frames: list[FrameOfCamera], survey: Survey, params: Reco
         raw = camera.depth(i_frame)
         measured = depth.cleaned(raw, params.near, params.far)
         try:
-            fused = volume.integrate(measured, camera.rgb(i_frame), camera.K, camera.world_from_cameras[i_frame])
+            fused = volume.integrate(
+                measured, camera.rgb(i_frame), camera.Ks[i_frame], camera.world_from_cameras[i_frame]
+            )
         except tsdf.VolumeTooLarge as error:
             limit, begun = memory_limit(params.max_memory), resident_bytes() - volume.n_blocks * tsdf.BLOCK_BYTES
             raise too_large(error.n_needed * len(frames) // (k + 1), begun, limit, survey) from None

@@ -62,15 +62,23 @@ def _draw_camera(sheet: Sheet, camera: Camera, frames: range, begin: float) -> N
     size, poses = (camera.height, camera.width), camera.world_from_cameras
     place = ("world", "cameras", camera.name)
     depth_range = _depth_range(camera)
-    K = camera.K.copy()
-    K[:2, 2] += CORNER
     far = depth_range[1] * camera.depth_scale
-    sheet.fix(place, rr.Pinhole(image_from_camera=K, resolution=size[::-1], image_plane_distance=0.1 * far))
+    Ks = camera.Ks.copy()
+    Ks[:, :2, 2] += CORNER
+
+    def pinhole(i_frame: int) -> rr.Pinhole:
+        return rr.Pinhole(image_from_camera=Ks[i_frame], resolution=size[::-1], image_plane_distance=0.1 * far)
+
+    changes = bool((Ks != Ks[:1]).any())
+    if not changes and camera.n_frames:
+        sheet.fix(place, pinhole(0))
     path = rr.LineStrips3D([poses[:, :3, 3]], colors=[GREY], radii=rr.Radius.ui_points(1.0))
     sheet.fix(("world", "camera_paths", camera.name), path)
     for i_frame in progress(frames, f"drawing {sheet.item}, {camera.name}"):
         with sheet.at(frame=i_frame, seconds=float(camera.time[i_frame]) - begin):
             pose = poses[i_frame]
+            if changes:
+                sheet.log(place, pinhole(i_frame))
             sheet.log(place, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
             rgb = expect(camera.path, "rgb", camera.rgb(i_frame), (*size, 3), "u")
             sheet.log((*place, "rgb"), rr.EncodedImage(contents=jpeg(rgb), media_type="image/jpeg"))

@@ -68,7 +68,7 @@ def _draw_pair(sheet: Sheet, scan: Scan, correspondences: Correspondences, row: 
         sheet.log(("matches", "points"), rr.Points2D(ends, colors=[*colours, *colours], radii=rr.Radius.ui_points(3)))
         v, u = np.rint(np.clip(uv_a, 0, [camera.width - 1, camera.height - 1])).astype(int).T[::-1]
         depth = camera.depth(i_frame)[v, u].astype(np.float64)
-        points = transform(camera.world_from_cameras[i_frame], unproject(uv_a, depth, camera.K))
+        points = transform(camera.world_from_cameras[i_frame], unproject(uv_a, depth, camera.Ks[i_frame]))
         known = depth > 0
         sheet.log(
             ("world", "matches"),

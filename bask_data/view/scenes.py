@@ -108,7 +108,7 @@ def measured_points(source: Recording) -> np.ndarray:
         for i_frame in spread_frames(camera.n_frames, 3):
             depth = camera.depth(i_frame)[::8, ::8].astype(np.float64)
             v, u = np.nonzero(depth > 0)
-            in_camera = unproject(np.stack([u, v], axis=1) * 8.0, depth[v, u], camera.K)
+            in_camera = unproject(np.stack([u, v], axis=1) * 8.0, depth[v, u], camera.Ks[i_frame])
             points.append(transform(camera.world_from_cameras[i_frame], in_camera))
     return np.concatenate(points)
 

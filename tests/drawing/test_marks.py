@@ -31,7 +31,7 @@ def test_an_ellipse_is_the_covariance_seen_through_the_camera(filled: Dataset) -
     mark, rng = camera_track.marks(0, palette(2))[0], np.random.default_rng(0)
     moved = rng.multivariate_normal(track.mean[0, 0], track.covariance[0, 0], 40_000)
     camera = camera_track.camera
-    pixels = project(transform(invert_rigid(camera.world_from_cameras[0]), moved), camera.K)[0]
+    pixels = project(transform(invert_rigid(camera.world_from_cameras[0]), moved), camera.Ks[0])[0]
     np.testing.assert_allclose(mark.covariance, np.cov(pixels.T), rtol=0.05, atol=0.05 * np.trace(mark.covariance))
 
 

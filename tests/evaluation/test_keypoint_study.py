@@ -218,7 +218,7 @@ def test_true_points_move_with_their_objects(studied: Dataset) -> None:
     for i, (pick, label) in enumerate(zip(picks, (1, 1, 2, 2), strict=True)):
         depth = scan.depth("wrist", pick.frame)[round(pick.v), round(pick.u)]
         camera = Scan(studied.path(Scan, "scan")).camera("wrist")
-        ray = np.linalg.inv(camera.K) @ [pick.u, pick.v, 1.0]
+        ray = np.linalg.inv(camera.Ks[pick.frame]) @ [pick.u, pick.v, 1.0]
         world = transform(scan.world_from_cameras("wrist")[pick.frame], depth * ray)
         on_object = transform(invert_rigid(np.array(scan.metadata.world_from_object[label])), world)
         for t in (0, N - 1):

@@ -28,7 +28,7 @@ def scan(tmp_path: Path) -> Path:
 def test_intrinsics_that_are_no_camera(scan: Path, fault: float) -> None:
     zarr.open_group(str(scan), mode="r+")["wrist/intrinsics"][0, 0] = fault
     with pytest.raises(BadData, match="intrinsics: expected a pinhole matrix"):
-        _ = Scan(scan).camera("wrist").K
+        _ = Scan(scan).camera("wrist").Ks
 
 
 def test_transforms_that_are_not_rigid(scan: Path) -> None:

@@ -96,7 +96,7 @@ def test_a_frame_has_its_arrays_in_metres(ds: OpenDataset) -> None:
     np.testing.assert_array_equal(frame.depth, scan.depth(N_FRAMES - 1))
     assert frame.depth.dtype == np.float32 and 0.2 < np.median(frame.depth) < 2
     np.testing.assert_array_equal(frame.world_from_camera, scan.world_from_cameras[-1])
-    np.testing.assert_array_equal(frame.K, scan.K)
+    np.testing.assert_array_equal(frame.K, scan.Ks[-1])
     assert frame.time == scan.time[-1]
     assert frame.mask.shape == (HEIGHT, WIDTH) and {*np.unique(frame.mask)} == {0, 1, 2}
     some = frames[2:6:2]
@@ -105,16 +105,17 @@ def test_a_frame_has_its_arrays_in_metres(ds: OpenDataset) -> None:
     assert frames[np.int64(3)].index == 3
     np.testing.assert_array_equal(some.world_from_cameras, scan.world_from_cameras[2:6:2])
     np.testing.assert_array_equal(some.time, scan.time[[2, 4]])
-    np.testing.assert_array_equal(some.K, scan.K)
+    np.testing.assert_array_equal(some.K, scan.Ks[0])
+    np.testing.assert_array_equal(some.Ks, scan.Ks[[2, 4]])
     assert len(ds.demonstrations["demo0"]) == N_FRAMES and ds.demonstrations["demo0"].robot is None
 
 
 def test_a_changed_array_leaves_other_frames_as_they_are(ds: OpenDataset) -> None:
     frames, scan = ds.scans["table1"], Scan(ds.root / "scan" / "table1").camera("wrist")
-    frames[0].K[:] = frames.K[:] = 0
+    frames[0].K[:] = frames.K[:] = frames.Ks[:] = 0
     frames[0].world_from_camera[:] = frames.world_from_cameras[:] = frames.time[:] = 0
-    np.testing.assert_array_equal(frames[0].K, scan.K)
-    np.testing.assert_array_equal(frames.K, scan.K)
+    np.testing.assert_array_equal(frames[0].K, scan.Ks[0])
+    np.testing.assert_array_equal(frames.Ks, scan.Ks)
     np.testing.assert_array_equal(frames[0].world_from_camera, scan.world_from_cameras[0])
     np.testing.assert_array_equal(frames.time, scan.time)
 

@@ -77,7 +77,7 @@ def test_scans_have_noise_and_ground_truth_has_none(phone_root: Path) -> None:
     for camera in scan.cameras:
         assert (camera.n_frames, camera.height, camera.width) == (3, 24, 32)
         assert camera.depth_scale == 1e-4
-        np.testing.assert_array_equal(camera.K[:2, 2], [15.5, 11.5])
+        np.testing.assert_array_equal(camera.Ks[0, :2, 2], [15.5, 11.5])
         error = []
         for i_frame in range(3):
             exact, noisy = truth.depth(camera.name, i_frame), camera.depth(i_frame)

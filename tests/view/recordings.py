@@ -66,7 +66,7 @@ def publish_demonstration(dataset: Dataset, item: str, source: str, robot: Robot
                 group,
                 camera.name,
                 CameraFrames(
-                    K=camera.K,
+                    K=camera.Ks,
                     world_from_cameras=camera.world_from_cameras,
                     time=camera.time,
                     depth_scale=camera.depth_scale,

@@ -165,7 +165,7 @@ def test_the_stored_camera_takes_world_points_to_the_pixels_that_show_them(fille
         depth = camera.depth(i_frame).astype(float)
         v, u = (index[::500] for index in np.nonzero(depth > 0))
         uv = np.stack([u, v], axis=1).astype(float)
-        world = transform(camera.world_from_cameras[i_frame], unproject(uv, depth[v, u], camera.K))
+        world = transform(camera.world_from_cameras[i_frame], unproject(uv, depth[v, u], camera.Ks[i_frame]))
         seen, _ = project(transform(invert_rigid(parent_from_child), world), K)
         np.testing.assert_allclose(seen, uv + 0.5, atol=1e-3)
     path = saved.array("/scan-a/world/camera_paths/wrist", "LineStrips3D:strips")[0]
@@ -289,7 +289,7 @@ def test_lines_join_matches_and_their_points_are_seen_by_both_views(filled, save
         points = saved.array("/scan-a/world/matches", "Points3D:positions", row["pair"])
         assert len(points) == len(lines)
         in_b = transform(invert_rigid(camera.world_from_cameras[row["frame_b"]]), points.astype(float))
-        for (start, end), seen in zip(lines, project(in_b, camera.K)[0], strict=True):
+        for (start, end), seen in zip(lines, project(in_b, camera.Ks[row["frame_b"]])[0], strict=True):
             uv_b = stored[round(float(start[0]) - 0.5, 3), round(float(start[1]) - 0.5, 3)]
             np.testing.assert_allclose(end - [shift + 0.5, 0.5], uv_b, atol=1e-3)
             np.testing.assert_allclose(seen, uv_b, atol=0.2)
@@ -586,7 +586,7 @@ def test_odd_names_are_names(tmp_path):
         "odd",
         rgb=[source.rgb(0)],
         depth=[source.depth(0)],
-        K=source.K,
+        K=source.Ks[0],
         world_from_cameras=source.world_from_cameras[:1],
         camera="left eye (ü) + *",
     )
@@ -634,7 +634,7 @@ def _break_time(dataset: Dataset) -> None:
             group,
             "wrist",
             CameraFrames(
-                K=source.K,
+                K=source.Ks[0],
                 world_from_cameras=source.world_from_cameras,
                 time=np.full(6, np.nan),
                 depth_scale=0.001,

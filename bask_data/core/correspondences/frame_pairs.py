@@ -48,7 +48,7 @@ class FramePairs:
 def seen(
     points_world: Float[ndarray, "m 3"],
     normals_world: Float[ndarray, "m 3"],
-    K: Float[ndarray, "3 3"],
+    Ks: Float[ndarray, "t 3 3"],
     world_from_cameras: Float[ndarray, "t 4 4"],
     height: int,
     width: int,
@@ -59,7 +59,7 @@ def seen(
         points_world, normals_world: metres and unit vectors, world frame.
     """
     result = np.zeros((len(world_from_cameras), len(points_world)), bool)
-    for i_frame, world_from_camera in enumerate(world_from_cameras):
+    for i_frame, (K, world_from_camera) in enumerate(zip(Ks, world_from_cameras, strict=True)):
         uv, z = project(transform(invert_rigid(world_from_camera), points_world), K)
         ray = world_from_camera[:3, 3] - points_world
         facing = np.einsum("ij,ij->i", ray, normals_world) > SLANT * np.linalg.norm(ray, axis=1)

@@ -68,6 +68,24 @@ def ray_directions(K: Float[ndarray, "3 3"], height: int, width: int) -> Float32
     return unproject(grid, np.ones((height, width)), K).astype(np.float32)
 
 
+class CameraDirections:
+    """`ray_directions` of a camera's frames, computed again only where the intrinsics change.
+
+    Args:
+        Ks: intrinsics of each frame, pixels.
+    """
+
+    def __init__(self, Ks: Float[ndarray, "t 3 3"], height: int, width: int) -> None:
+        self._Ks, self._size = Ks, (height, width)
+        self._last: tuple[ndarray, ndarray] | None = None
+
+    def __getitem__(self, i_frame: int) -> Float32[ndarray, "h w 3"]:
+        K = self._Ks[i_frame]
+        if self._last is None or not np.array_equal(self._last[0], K):
+            self._last = K, ray_directions(K, *self._size)
+        return self._last[1]
+
+
 @dataclass(frozen=True)
 class Rays:
     """The rays through a camera's pixels, world frame; their parameter is the z-depth.

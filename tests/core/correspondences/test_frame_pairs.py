@@ -23,7 +23,7 @@ def ball(n=400):
 
 def seen(cameras):
     points, normals = ball()
-    return frame_pairs.seen(points, normals, K, cameras, 120, 160), points
+    return frame_pairs.seen(points, normals, np.tile(K, (len(cameras), 1, 1)), cameras, 120, 160), points
 
 
 def test_a_camera_sees_the_half_of_a_ball_that_faces_it():
