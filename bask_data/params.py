@@ -48,6 +48,9 @@ SIZE = r"^(\d+x\d+)?$"
 WHOLE_NUMBERS = r"^(\d+(,\d+)*)?$"
 """Pattern of a list of whole numbers; may be empty."""
 
+FRAMES = r"^(\d+|-?\d*:-?\d*(:[1-9]\d*)?)?$"
+"""Pattern of a range of frames, FIRST:END:STEP; may be empty."""
+
 SHA256 = "^[0-9a-f]{64}$"
 """Pattern of a digest."""
 
@@ -55,6 +58,7 @@ PATTERNS = {
     NAME: "letters, digits, '_' and '-', beginning with a letter or digit",
     SIZE: "WIDTHxHEIGHT in pixels, for instance 640x480",
     WHOLE_NUMBERS: "whole numbers separated by commas, for instance 65535",
+    FRAMES: "FIRST:END:STEP, for instance 10:500:2",
     SHA256: "a SHA-256, 64 hexadecimal digits",
 }
 """Plain words by pattern: a regular expression does not tell a user what to write."""

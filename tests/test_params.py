@@ -7,7 +7,7 @@ import pytest
 from pydantic import Field, JsonValue, ValidationError
 
 from bask_data.formats import FORMATS
-from bask_data.formats.options import FramesOptions
+from bask_data.formats.options.frames import FramesOptions
 from bask_data.params import PATTERNS, Params, first_fault
 from bask_data.pipeline import STAGES
 from bask_data.sim.options import SimOptions

@@ -15,6 +15,7 @@ from bask_data.cli.console import say, show_outcome, shown_progress
 from bask_data.cli.options import Json, Root, add_command, checked_options, names_of, options_of, parameter
 from bask_data.cli.working import finish, quoted
 from bask_data.formats import FORMATS, Format
+from bask_data.formats.options.common import SourceOptions
 from bask_data.sim.options import SimOptions, TaskName
 
 EXAMPLES = {
@@ -69,6 +70,7 @@ def _add_format(format: Format) -> None:
         from bask_data.sources.ingest import ingest
 
         values = checked_options(format.options, options, f"bask-data ingest {format.name}")
+        assert isinstance(values, SourceOptions)
         with shown_progress():
             outcomes, assumptions = ingest(
                 root, scene, format=format, source=source, options=values, kind=as_, force=force

@@ -1,15 +1,14 @@
 """Readers of recordings in other formats: units, frames and conventions are converted here and nowhere else.
 
-To add a format, touch two files:
+To add a format, touch three files:
 
-1. `formats/<name>.py`, new, with a model of its options, derived from `Params`, whose descriptions are the help of
-   `bask-data ingest <name>`, and with `read(source: Path, options) -> SourceRecording`. It returns the recording in our
-   units and frames, states in `assumptions` what the files do not, and reads frames on demand.
-2. `formats/__init__.py`: the import of the model, and a line in `FORMATS`.
-
-The command line imports all models, but a reader only when it is used. Importing this file must not load NumPy or
-OpenCV, so that `--help` stays fast: a small reader imports them inside its functions; one with array types in its
-signatures needs them at its top, and keeps its model in `formats/options.py`.
+1. `formats/options/<name>.py`, new, with a model of its options, derived from `SourceOptions`, whose descriptions are
+   the help of `bask-data ingest <name>`. It must not load NumPy or OpenCV, so that `--help` stays fast.
+2. `formats/<name>.py`, new, with `read(source: Path, options) -> SourceRecording`. It returns the recording in our
+   units and frames, states in `assumptions` what the files do not, and reads frames on demand. What `SourceOptions`
+   asks for is done by `prepare`, for all formats alike. A source of many recordings also has
+   `episodes(source: Path, options) -> tuple[str, ...]`, their names.
+3. `formats/__init__.py`: the import of the model, and a line in `FORMATS`.
 """
 
 from __future__ import annotations
@@ -17,34 +16,50 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from bask_data.formats.options import ApcOptions, FramesOptions, TumOptions
-from bask_data.params import Params
+from bask_data.formats.options.apc import ApcOptions
+from bask_data.formats.options.common import SourceOptions
+from bask_data.formats.options.frames import FramesOptions
+from bask_data.formats.options.tum import TumOptions
 
 if TYPE_CHECKING:
-    import bask_data.formats.recording
+    from bask_data.formats.recording import PreparedRecording
 
 
 @dataclass(frozen=True)
 class Format:
-    """A source format: `bask-data ingest <name>`, with the options of the model `options`."""
+    """A source format: `bask-data ingest <name>`, with the options of the model `options`.
+
+    Args:
+        wants: what SOURCE is, for the help.
+    """
 
     name: str
     help: str
-    options: type[Params]
+    options: type[SourceOptions]
+    wants: str = "The recording's folder."
 
-    def read(self, source: Path, options: Params) -> bask_data.formats.recording.SourceRecording:
-        """The recording in the folder `source`.
+    def read(self, source: Path, options: SourceOptions) -> PreparedRecording:
+        """The recording at `source`, ready to be written.
 
         Raises:
             BadData: a file is missing, corrupted, or contradicts the options.
-            UsageError: `source` is not a folder, or an option is missing or invalid.
+            UsageError: `source` is not what the format needs, or an option is missing or invalid.
+            MissingDependency: a library that decodes the format is not installed.
         """
-        recording: bask_data.formats.recording.SourceRecording = import_module(f"bask_data.formats.{self.name}").read(
-            source, options
-        )
-        return recording
+        from bask_data.formats.prepare import prepared
+
+        return prepared(source, self._reader.read(source, options), options)
+
+    def episodes(self, source: Path, options: SourceOptions) -> tuple[str, ...]:
+        """Names of the recordings at `source`; empty for a format that holds one."""
+        find = getattr(self._reader, "episodes", None)
+        return find(source, options) if find else ()
+
+    @property
+    def _reader(self) -> Any:
+        return import_module(f"bask_data.formats.{self.name}")
 
 
 FORMATS = (

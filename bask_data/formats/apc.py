@@ -17,12 +17,14 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from bask_data.core.geometry import invert_rigid
+from bask_data.core.lens import Lens
 from bask_data.errors import BadData
-from bask_data.formats.agreement import agreement
-from bask_data.formats.camera import ImageFiles, camera_recording, parse_intrinsics, parse_pose, read_poses
-from bask_data.formats.files import frame_number, matching, member, numbers, paired, read_bytes, source_folder
-from bask_data.formats.options import ApcOptions
-from bask_data.formats.recording import ObjectPose, SourceRecording
+from bask_data.formats.files import Folder, frame_number, numbers, paired, read_bytes, source_folder
+from bask_data.formats.image_files import ImageFiles
+from bask_data.formats.intrinsics import parse_intrinsics
+from bask_data.formats.options.apc import ApcOptions
+from bask_data.formats.poses import parse_pose, parse_transform, read_transforms
+from bask_data.formats.recording import ObjectPose, SourceCamera, SourceRecording
 
 DEPTH_SCALE = 1e-4
 """Metres per unit of depth after rotating its bits back, from the recordings' documentation."""
@@ -36,28 +38,42 @@ OBJECT_NAMES = {48: "chenille stems", 114: "bunny book", 132: "tissue box", 144:
 
 def read(source: Path, options: ApcOptions) -> SourceRecording:
     """The recording in `source`; see `ApcOptions.world` for the world frame."""
-    source_folder(source)
+    folder = source_folder(source, options.follow_links)
     info = source / INFO_FILE
-    groups = {"color": _color_files(source), "depth": matching(source, "frame-*.depth.png", "depth")}
+    groups = {"color": _color_files(folder), "depth": folder.matching("frame-*.depth.png", "depth")}
     if not info.exists():
-        groups["pose"] = matching(source, "frame-*.pose.txt", "pose")
+        groups["pose"] = folder.matching("frame-*.pose.txt", "pose")
     labels = _label_pattern(source)
     if labels:
-        groups["labels"] = matching(source, labels, "labels")
-    names = paired(source, groups)
+        groups["labels"] = folder.matching(labels, "labels")
+    names, missing = paired(source, groups)
+    names = [name for name in names if name not in missing]
+    if missing and not options.skip_bad:
+        raise next(iter(missing.values()))
     rig = (
-        _rig_of_info(member(source, INFO_FILE, "calibration"), names)
+        _rig_of_info(folder.member(INFO_FILE, "calibration"), folder, names)
         if info.exists()
-        else _rig_of_files(source, [groups["pose"][name] for name in names])
+        else _rig_of_files(folder, [groups["pose"][name] for name in names])
     )
     world_from_cameras, world = _in_world(source, rig, options.world)
     color, depth, label = (
         tuple(groups[kind][name] for name in names if kind in groups) for kind in ("color", "depth", "labels")
     )
     images = ImageFiles(color, depth, label, rotated_depth=True)
-    poses, pose_files = _object_poses(source, rig, options.world)
+    poses, pose_files = _object_poses(folder, rig, options.world)
     time = np.array([frame_number(name) for name in names], dtype=np.float64) / options.fps
-    camera = camera_recording(options.camera, images, rig.K, "", DEPTH_SCALE, world_from_cameras, time)
+    camera = SourceCamera(
+        name=options.camera,
+        frames=tuple(names),
+        lens=Lens(rig.K, images.size),
+        world_from_cameras=world_from_cameras,
+        time=time,
+        color=images.read_color,
+        depth=images.read_depth,
+        depth_scale=DEPTH_SCALE,
+        labels=images.read_labels if label else None,
+        pose_places=tuple(f"{rig.files[0].name if info.exists() else 'pose'} of frame {name}" for name in names),
+    )
     return SourceRecording(
         cameras=(camera,),
         robot=None,
@@ -69,7 +85,6 @@ def read(source: Path, options: ApcOptions) -> SourceRecording:
             "intrinsics": "the colour camera's, for colour and depth alike, no lens distortion",
             "time": f"frame number / {options.fps:g} per second: the files state none",
             "labels": f"{labels}, taken as truth for reports only" if labels else "none found",
-            "agreement": agreement(camera, {}),
         },
         files=(*color, *depth, *label, *rig.files, *pose_files),
         object_poses=poses,
@@ -86,10 +101,10 @@ class _Rig:
     files: tuple[Path, ...]
 
 
-def _color_files(source: Path) -> dict[str, Path]:
+def _color_files(folder: Folder) -> dict[str, Path]:
     """PNG as recorded, or JPEG as shipped with this package."""
-    suffix = "jpg" if any(source.glob("frame-*.color.jpg")) else "png"
-    return matching(source, f"frame-*.color.{suffix}", "color")
+    suffix = "jpg" if any(folder.path.glob("frame-*.color.jpg")) else "png"
+    return folder.matching(f"frame-*.color.{suffix}", "color")
 
 
 def _label_pattern(source: Path) -> str:
@@ -97,19 +112,19 @@ def _label_pattern(source: Path) -> str:
     return next((pattern for pattern in ("segm/frame-*.segm.png", "frame-*.segm.png") if any(source.glob(pattern))), "")
 
 
-def _rig_of_files(source: Path, pose_files: Sequence[Path]) -> _Rig:
-    K, files = parse_intrinsics(source, str(member(source, INTRINSICS_FILE, "intrinsics")))
-    return _Rig(K, read_poses(list(pose_files)), None, (*files, *pose_files))
+def _rig_of_files(folder: Folder, pose_files: Sequence[Path]) -> _Rig:
+    K, files = parse_intrinsics(folder, str(folder.member(INTRINSICS_FILE, "intrinsics")))
+    return _Rig(K, read_transforms(list(pose_files)), None, (*files, *pose_files))
 
 
-def _rig_of_info(path: Path, names: Sequence[str]) -> _Rig:
+def _rig_of_info(path: Path, folder: Folder, names: Sequence[str]) -> _Rig:
     """Calibration and poses in `cam.info.txt`, whose matrices have comments as titles."""
     matrices = _titled_matrices(path)
     color = _titled(path, matrices, "color camera intrinsic")
     if len(color) != 9:
         raise BadData(path, "color camera intrinsic", expected="a 3x3 matrix", got=f"{len(color)} numbers")
-    K, _ = parse_intrinsics(path.parent, ",".join(str(color[i]) for i in (0, 4, 2, 5)))
-    poses = [parse_pose(f"{path}: frame-{name}", _titled(path, matrices, f"for frame-{name}")) for name in names]
+    K, _ = parse_intrinsics(folder, ",".join(str(color[i]) for i in (0, 4, 2, 5)))
+    poses = [parse_transform(f"{path}: frame-{name}", _titled(path, matrices, f"for frame-{name}")) for name in names]
     bins = [values for title, values in matrices.items() if title.startswith("bin-to-world")]
     return _Rig(K, np.stack(poses), parse_pose(f"{path}: bin-to-world", bins[0]) if bins else None, (path,))
 
@@ -133,11 +148,11 @@ def _titled(path: Path, matrices: dict[str, list[float]], words: str) -> list[fl
     return candidates[0]
 
 
-def _object_poses(source: Path, rig: _Rig, world: str) -> tuple[dict[int, ObjectPose], tuple[Path, ...]]:
+def _object_poses(folder: Folder, rig: _Rig, world: str) -> tuple[dict[int, ObjectPose], tuple[Path, ...]]:
     """Poses of objects from a file beside the frames, if any: `{"world": "bin", "objects": {"132": {...}}}`."""
-    if not (source / POSES_FILE).exists():
+    if not folder.has(POSES_FILE):
         return {}, ()
-    path = member(source, POSES_FILE, "object poses")
+    path = folder.member(POSES_FILE, "object poses")
     try:
         document = json.loads(read_bytes(path, 2**20))
         stated, objects = document["world"], document["objects"]

@@ -6,6 +6,7 @@ import glob
 import re
 import stat
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from bask_data.errors import BadData, UsageError
@@ -18,59 +19,98 @@ MAX_IMAGE_BYTES = 512 * 2**20
 memory."""
 
 
-def source_folder(source: Path) -> Path:
-    """`source`, after checking that it is a folder; `UsageError` otherwise."""
+@dataclass(frozen=True)
+class Folder:
+    """A source folder: every file of a recording is found through it, and lies inside it.
+
+    Args:
+        follow_links: whether links may lead out of the folder, to files whose content is read as if it lay inside.
+    """
+
+    path: Path
+    follow_links: bool = False
+
+    def member(self, relative: str, field: str) -> Path:
+        """The regular file at `relative`; `BadData` for `..`, absolute paths and links that lead out."""
+        pure = PurePosixPath(relative)
+        if pure.is_absolute() or ".." in pure.parts:
+            raise BadData(self.path, field, expected="a path inside the source folder", got=repr(relative))
+        path = self.path / pure
+        if not path.exists():
+            broken = path.is_symlink()
+            raise BadData(
+                path,
+                field,
+                expected="a file",
+                got="a link to nothing" if broken else "no such path",
+                fix="fetch the content that the link stands for (`dvc pull`, `git annex get`)."
+                if broken
+                else "check SOURCE and the file names in it.",
+            )
+        if not self.follow_links and not path.resolve().is_relative_to(self.path.resolve()):
+            raise BadData(
+                path,
+                field,
+                expected="a file inside the source folder",
+                got="a link out of it",
+                fix="pass --follow-links if the links are your own (DVC, git-annex, another disc), or copy the files.",
+            )
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise BadData(path, field, expected="a regular file", got="something else")
+        return path
+
+    def has(self, relative: str) -> bool:
+        """Whether there is something at `relative`; `member` says whether it may be read."""
+        return (self.path / relative).exists() or (self.path / relative).is_symlink()
+
+    def matching(self, pattern: str, option: str) -> dict[str, Path]:
+        """Files that match `pattern`, by the text that its one `*` matches, in natural order. Hidden files are ignored.
+
+        Raises:
+            UsageError: the pattern has not exactly one `*`, or leaves the folder.
+            BadData: no file matches.
+        """
+        if pattern.count("*") != 1:
+            raise UsageError(
+                f"--{option}",
+                expected="a pattern with one *",
+                got=repr(pattern),
+                fix="for example 'frame-*.color.png'.",
+            )
+        if PurePosixPath(pattern).is_absolute() or ".." in PurePosixPath(pattern).parts:
+            raise UsageError(f"--{option}", expected="a pattern inside SOURCE", got=repr(pattern))
+        before, after = pattern.split("*")
+        key = re.compile(f"{re.escape(before)}([^/]+){re.escape(after)}")
+        files = {}
+        for path in self.path.glob(f"{glob.escape(before)}*{glob.escape(after)}"):
+            relative = path.relative_to(self.path).as_posix()
+            match = key.fullmatch(relative)
+            if match and not path.name.startswith("."):
+                files[match.group(1)] = self.member(relative, f"--{option}")
+        if not files:
+            raise BadData(
+                self.path,
+                f"--{option}",
+                expected=f"files that match {pattern!r}",
+                got="none",
+                fix=f"pass --{option} PATTERN.",
+            )
+        return {name: files[name] for name in sorted(files, key=natural)}
+
+
+def source_folder(source: Path, follow_links: bool = False) -> Folder:
+    """`source` as a folder; `UsageError` if it is none."""
     if not source.is_dir():
         raise UsageError(source, "SOURCE", expected="a folder", got="a file" if source.exists() else "no such path")
-    return source
+    return Folder(source, follow_links)
 
 
-def member(source: Path, relative: str, field: str) -> Path:
-    """The regular file at `relative` inside `source`; `BadData` for `..`, absolute paths and links that lead out."""
-    pure = PurePosixPath(relative)
-    if pure.is_absolute() or ".." in pure.parts:
-        raise BadData(source, field, expected="a path inside the source folder", got=repr(relative))
-    path = source / pure
-    if not path.exists():
-        raise BadData(path, field, expected="a file", got="no such path", fix="check SOURCE and the file names in it.")
-    if not path.resolve().is_relative_to(source.resolve()):
-        raise BadData(
-            path,
-            field,
-            expected="a file inside the source folder",
-            got="a link out of it",
-            fix="copy the file into it.",
-        )
-    if not stat.S_ISREG(path.stat().st_mode):
-        raise BadData(path, field, expected="a regular file", got="something else")
-    return path
-
-
-def matching(source: Path, pattern: str, option: str) -> dict[str, Path]:
-    """Files that match `pattern`, by the text that its one `*` matches, in natural order.
-
-    Raises:
-        UsageError: the pattern has not exactly one `*`, or leaves the folder.
-        BadData: no file matches.
-    """
-    if pattern.count("*") != 1:
-        raise UsageError(
-            f"--{option}", expected="a pattern with one *", got=repr(pattern), fix="for example 'frame-*.color.png'."
-        )
-    if PurePosixPath(pattern).is_absolute() or ".." in PurePosixPath(pattern).parts:
-        raise UsageError(f"--{option}", expected="a pattern inside SOURCE", got=repr(pattern))
-    before, after = pattern.split("*")
-    key = re.compile(f"{re.escape(before)}([^/]+){re.escape(after)}")
-    files = {}
-    for path in source.glob(f"{glob.escape(before)}*{glob.escape(after)}"):
-        relative = path.relative_to(source).as_posix()
-        if match := key.fullmatch(relative):
-            files[match.group(1)] = member(source, relative, f"--{option}")
-    if not files:
-        raise BadData(
-            source, f"--{option}", expected=f"files that match {pattern!r}", got="none", fix=f"pass --{option} PATTERN."
-        )
-    return {name: files[name] for name in sorted(files, key=natural)}
+def source_file(source: Path, suffixes: tuple[str, ...], follow_links: bool = False) -> Path:
+    """`source` as one file with one of the suffixes; `UsageError` otherwise."""
+    if not source.is_file() or source.suffix.lower() not in suffixes:
+        got = "a folder" if source.is_dir() else (f"a file {source.suffix}" if source.exists() else "no such path")
+        raise UsageError(source, "SOURCE", expected=f"a file {' or '.join(suffixes)}", got=got)
+    return Folder(source.parent, follow_links).member(source.name, "SOURCE")
 
 
 def natural(text: str) -> list[tuple[int, int, str]]:
@@ -84,20 +124,24 @@ def frame_number(name: str) -> int | None:
     return int(numbers[-1]) if numbers else None
 
 
-def paired(source: Path, groups: dict[str, dict[str, Path]]) -> list[str]:
-    """Names of the frames, after checking that each has a file in every group; `BadData` otherwise."""
-    names = {name for group in groups.values() for name in group}
+def paired(source: Path, groups: dict[str, dict[str, Path]]) -> tuple[list[str], dict[str, BadData]]:
+    """Names of all frames, in natural order, and for each that lacks a file in some group the error that says so."""
+    names = sorted({name for group in groups.values() for name in group}, key=natural)
+    faults: dict[str, BadData] = {}
     for kind, group in groups.items():
-        missing = sorted(names - set(group), key=natural)
-        if missing:
-            raise BadData(
-                source,
-                f"frame {listed(missing)}",
-                expected=f"a {kind} file for every frame",
-                got=f"none for {len(missing)} of {len(names)}",
-                fix=f"check --{kind}, or remove the frames without {kind}.",
+        missing = [name for name in names if name not in group]
+        for name in missing:
+            faults.setdefault(
+                name,
+                BadData(
+                    source,
+                    f"frame {listed([name, *(other for other in missing if other != name)])}",
+                    expected=f"a {kind} file for every frame",
+                    got=f"none for {len(missing)} of {len(names)}",
+                    fix=f"check --{kind}, or pass --skip-bad to leave out the frames without {kind}.",
+                ),
             )
-    return sorted(names, key=natural)
+    return names, faults
 
 
 def listed(names: Sequence[str], limit: int = 5) -> str:

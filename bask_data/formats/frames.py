@@ -10,82 +10,71 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from bask_data.core.geometry import invert_rigid
+from bask_data.core.lens import Lens
 from bask_data.errors import BadData
-from bask_data.formats.agreement import agreement
-from bask_data.formats.camera import (
-    OPENCV_FROM_OPENGL,
-    ImageFiles,
-    camera_recording,
-    parse_intrinsics,
-    parse_pose,
-    read_poses,
-)
-from bask_data.formats.files import frame_number, matching, member, numbers, paired, read_lines, source_folder
-from bask_data.formats.options import FramesOptions
-from bask_data.formats.recording import SourceRecording
+from bask_data.formats.files import Folder, frame_number, numbers, paired, read_lines, source_folder
+from bask_data.formats.image_files import ImageFiles
+from bask_data.formats.intrinsics import parse_intrinsics
+from bask_data.formats.options.frames import FramesOptions
+from bask_data.formats.poses import other_readings, parse_transform, read_transforms, to_world_from_camera
+from bask_data.formats.recording import RobotRecording, SourceCamera, SourceRecording
 
 
 def read(source: Path, options: FramesOptions) -> SourceRecording:
     """The recording in `source`; see `FramesOptions` for how the files are interpreted."""
-    source_folder(source)
-    groups = {"color": matching(source, options.color, "color"), "depth": matching(source, options.depth, "depth")}
+    folder = source_folder(source, options.follow_links)
+    groups = {"color": folder.matching(options.color, "color"), "depth": folder.matching(options.depth, "depth")}
     if "*" in options.pose:
-        groups["pose"] = matching(source, options.pose, "pose")
-    names = paired(source, groups)
-    color, depth = (tuple(groups[kind][name] for name in names) for kind in ("color", "depth"))
+        groups["pose"] = folder.matching(options.pose, "pose")
+    names, missing = paired(source, groups)
+    color, depth = (tuple(groups[kind].get(name, source) for name in names) for kind in ("color", "depth"))
     if "*" in options.pose:
-        pose_files = [groups["pose"][name] for name in names]
-        poses = read_poses(pose_files)
+        pose_files = list(groups["pose"].values())
+        written = dict(zip(groups["pose"], read_transforms(pose_files, options.quat), strict=True))
+        poses = np.stack([written.get(name, np.full((4, 4), np.nan)) for name in names])
+        places = tuple(str(groups["pose"].get(name, name)) for name in names)
     else:
-        pose_files = [member(source, options.pose, "--pose")]
-        poses = _poses_of_lines(pose_files[0], names)
-    K, intrinsics_files = parse_intrinsics(source, options.intrinsics)
-    clock = _clock(source, names, options)
-    camera = camera_recording(
-        options.camera,
-        ImageFiles(color, depth, invalid_depth=_raw_values(options.invalid_depth)),
-        K,
-        options.intrinsics_size,
-        options.depth_scale,
-        to_world_from_camera(poses, options.pose_is, options.axes),
-        clock.time,
+        pose_files = [folder.member(options.pose, "--pose")]
+        poses = _poses_of_lines(pose_files[0], names, options.quat)
+        places = tuple(f"{pose_files[0]}: frame {name}" for name in names)
+    K, intrinsics_files = parse_intrinsics(folder, options.intrinsics)
+    clock = _clock(folder, names, options)
+    images = ImageFiles(color, depth, invalid_depth=_raw_values(options.invalid_depth))
+    world_from_cameras, world_from_gripper, hand_eye = to_world_from_camera(poses, options, folder=folder)
+    camera = SourceCamera(
+        name=options.camera,
+        frames=tuple(names),
+        lens=Lens(K, images.size),
+        world_from_cameras=world_from_cameras,
+        time=clock.time,
+        color=images.read_color,
+        depth=images.read_depth,
+        depth_scale=options.depth_scale,
+        faults={names.index(name): fault for name, fault in missing.items()},
+        pose_places=places,
+        intrinsics_size=options.intrinsics_size,
+        otherwise=other_readings(poses, options, folder=folder),
     )
     return SourceRecording(
         cameras=(camera,),
-        robot=None,
+        robot=None if world_from_gripper is None else RobotRecording(world_from_gripper),
         label_names={},
-        assumptions=_assumptions(options, clock.assumption)
-        | {"agreement": agreement(camera, _otherwise(poses, options))},
-        files=(*color, *depth, *pose_files, *intrinsics_files, *clock.files),
+        assumptions=_assumptions(options, clock.assumption),
+        files=(
+            *(file for file in (*color, *depth) if file != source),
+            *pose_files,
+            *intrinsics_files,
+            *clock.files,
+            *hand_eye,
+        ),
     )
-
-
-def to_world_from_camera(poses: Float[ndarray, "t 4 4"], pose_is: str, axes: str) -> Float[ndarray, "t 4 4"]:
-    """world_from_camera of OpenCV cameras.
-
-    Args:
-        poses: transforms in the direction and for the camera axes stated by `FramesOptions.pose_is` and `.axes`.
-    """
-    world_from_cameras = invert_rigid(poses) if pose_is == "camera_from_world" else poses
-    return world_from_cameras @ OPENCV_FROM_OPENGL if axes == "opengl" else world_from_cameras
-
-
-def _otherwise(poses: Float[ndarray, "t 4 4"], options: FramesOptions) -> dict[str, Float[ndarray, "t 4 4"]]:
-    """The poses under the three other interpretations, by the options for them."""
-    return {
-        f"--pose-is {pose_is} --axes {axes}": to_world_from_camera(poses, pose_is, axes)
-        for pose_is in ("world_from_camera", "camera_from_world")
-        for axes in ("opencv", "opengl")
-        if (pose_is, axes) != (options.pose_is, options.axes)
-    }
 
 
 def _raw_values(text: str) -> tuple[int, ...]:
     return tuple(int(word) for word in text.split(",") if word)
 
 
-def _poses_of_lines(path: Path, names: list[str]) -> Float[ndarray, "t 4 4"]:
+def _poses_of_lines(path: Path, names: list[str], quat: str) -> Float[ndarray, "t 4 4"]:
     """Poses from a file with one per line, in the order of frames or with the frame's number before seven numbers."""
     rows = [numbers(path, line) for line in read_lines(path)]
     if rows and all(len(row) == 8 for row in rows):
@@ -98,7 +87,9 @@ def _poses_of_lines(path: Path, names: list[str]) -> Float[ndarray, "t 4 4"]:
         rows = [by_number[float(frame_number(name) or 0)] for name in names]
     if len(rows) != len(names):
         raise BadData(path, "pose", expected=f"a line for each of {len(names)} frames", got=f"{len(rows)} lines")
-    return np.stack([parse_pose(f"{path}: frame {name}", row) for name, row in zip(names, rows, strict=True)])
+    return np.stack(
+        [parse_transform(f"{path}: frame {name}", row, quat) for name, row in zip(names, rows, strict=True)]
+    )
 
 
 @dataclass(frozen=True)
@@ -110,12 +101,12 @@ class _Clock:
     files: tuple[Path, ...] = ()
 
 
-def _clock(source: Path, names: list[str], options: FramesOptions) -> _Clock:
+def _clock(folder: Folder, names: list[str], options: FramesOptions) -> _Clock:
     if options.timestamps == "name":
-        return _Clock(_times_of_names(source, names), "seconds, from the files' names")
+        return _Clock(_times_of_names(folder.path, names), "seconds, from the files' names")
     if options.timestamps:
         path = Path(options.timestamps)
-        path = path if path.is_file() else member(source, options.timestamps, "--timestamps")
+        path = path if path.is_file() else folder.member(options.timestamps, "--timestamps")
         rows = [numbers(path, line) for line in read_lines(path)]
         if len(rows) != len(names) or any(len(row) != 1 for row in rows):
             raise BadData(

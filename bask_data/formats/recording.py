@@ -1,4 +1,9 @@
-"""The return type of readers: a recording converted to our frames and units, with frames read on demand."""
+"""What readers return, `SourceRecording`, and what becomes of it, `PreparedRecording`.
+
+A reader states what its files hold: our frames and units, but depth, lens and faults as they are. `prepare` makes the
+rest alike for all formats: it leaves frames out, takes the lens distortion out, brings depth and colour onto the same
+pixels, and moves the world's origin near.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +12,75 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8, UInt16
+from jaxtyping import Float, Float32, UInt8, UInt16
 from numpy import ndarray
+
+from bask_data.core.lens import Distortion, Lens
+from bask_data.errors import BadData
+
+Depth = UInt16[ndarray, "h w"] | Float32[ndarray, "h w"]
+"""Raw depth of a frame: 0 means no measurement; in floating-point depth also NaN, infinite and negative values."""
+
+
+@dataclass(frozen=True)
+class SourceCamera:
+    """Frames of one camera as the files hold them. Frames are read on demand, in any order, cheapest in their own.
+
+    Every array and every function over frames covers all of the source's frames, also bad ones.
+
+    Args:
+        frames: name of each frame, for messages; what `--labels` is matched with.
+        lens: of the colour images, K (3, 3) or (t, 3, 3), pixels.
+        world_from_cameras: poses of the colour camera in OpenCV axes, metres, not checked: not finite where unknown.
+        time: seconds.
+        color: RGB of a frame (h, w, 3).
+        depth: raw depth of a frame, z along the optical axis.
+        depth_scale: metres per unit of raw depth.
+        depth_lens: of the depth images; None if depth lies on colour pixel by pixel.
+        color_from_depth: pose of the depth camera in the colour camera (4, 4), metres; None: the same camera.
+        confidence: confidence of a frame's depth, of its size; larger is better.
+        labels: object label at each pixel of a frame's colour, 0 = none: ground truth, for reports only.
+        faults: why frames cannot be used, as far as the reader knows; by index. `--skip-bad` leaves them out.
+        pose_places: where the pose of each frame stands, for messages.
+        intrinsics_size: WIDTHxHEIGHT of the images that the intrinsics are said to be for, or empty.
+        otherwise: `world_from_cameras` under other readings of the same files, by the options for them.
+        farthest: largest depth that floating-point depth holds, metres, where the source states it.
+    """
+
+    name: str
+    frames: tuple[str, ...]
+    lens: Lens
+    world_from_cameras: Float[ndarray, "t 4 4"]
+    time: Float[ndarray, " t"]
+    color: Callable[[int], UInt8[ndarray, "h w 3"]]
+    depth: Callable[[int], Depth]
+    depth_scale: float = 1.0
+    depth_lens: Lens | None = None
+    color_from_depth: Float[ndarray, "4 4"] | None = None
+    confidence: Callable[[int], UInt8[ndarray, "h w"]] | None = None
+    labels: Callable[[int], UInt8[ndarray, "h w"]] | None = None
+    faults: dict[int, BadData] = field(default_factory=dict)
+    pose_places: tuple[str, ...] = ()
+    intrinsics_size: str = ""
+    otherwise: dict[str, Float[ndarray, "t 4 4"]] = field(default_factory=dict)
+    farthest: float | None = None
+
+    def pose_place(self, i: int) -> str:
+        """Where the pose of a frame stands, for messages."""
+        return self.pose_places[i] if self.pose_places else f"{self.name} {self.frames[i]}"
 
 
 @dataclass(frozen=True)
 class CameraRecording:
-    """Frames of one camera.
+    """Frames of one camera, ready to be written: pinhole images, depth on colour, rigid poses near the origin.
 
     Args:
-        K: intrinsics of all frames, or of each, pixels.
+        K: (3, 3) or (t, 3, 3), pixels.
         depth_scale: metres per unit of raw depth.
         time: seconds.
         read: RGB and raw depth of a frame, 0 = no measurement.
         labels: object label at each pixel of a frame, 0 = none: ground truth, for reports only.
+        distortion: the lens distortion that is taken out.
     """
 
     name: str
@@ -32,6 +92,7 @@ class CameraRecording:
     time: Float[ndarray, " t"]
     read: Callable[[int], tuple[UInt8[ndarray, "h w 3"], UInt16[ndarray, "h w"]]]
     labels: Callable[[int], UInt8[ndarray, "h w"]] | None = None
+    distortion: Distortion | None = None
 
     @property
     def n_frames(self) -> int:
@@ -71,10 +132,29 @@ class SourceRecording:
     """A scan or a demonstration as read.
 
     Args:
+        robot: its arrays have a row for each of the cameras' frames, bad ones too.
         label_names: names of the objects by label.
         assumptions: what the files do not state, in words; printed, and stored in the recording.
         files: all source files that were used, for the digest.
         object_poses: ground-truth poses by label.
+    """
+
+    cameras: tuple[SourceCamera, ...]
+    robot: RobotRecording | None
+    label_names: dict[int, str]
+    assumptions: dict[str, str]
+    files: tuple[Path, ...]
+    object_poses: dict[int, ObjectPose] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PreparedRecording:
+    """A scan or a demonstration, ready to be written.
+
+    Args:
+        assumptions: those of the reader, and what was done to its frames.
+        origin: metres; the source's world coordinates are ours plus this.
+        left_out: why frames were left out, by `camera/frame`.
     """
 
     cameras: tuple[CameraRecording, ...]
@@ -82,7 +162,9 @@ class SourceRecording:
     label_names: dict[int, str]
     assumptions: dict[str, str]
     files: tuple[Path, ...]
-    object_poses: dict[int, ObjectPose] = field(default_factory=dict)
+    object_poses: dict[int, ObjectPose]
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    left_out: dict[str, str] = field(default_factory=dict)
 
     @property
     def has_labels(self) -> bool:

@@ -8,12 +8,14 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from bask_data.core.lens import Lens
 from bask_data.errors import BadData
-from bask_data.formats.agreement import agreement
-from bask_data.formats.camera import ImageFiles, camera_recording, parse_intrinsics, parse_pose
-from bask_data.formats.files import member, numbers, read_lines, source_folder
-from bask_data.formats.options import TumOptions
-from bask_data.formats.recording import SourceRecording
+from bask_data.formats.files import Folder, numbers, read_lines, source_folder
+from bask_data.formats.image_files import ImageFiles
+from bask_data.formats.intrinsics import parse_intrinsics
+from bask_data.formats.options.tum import TumOptions
+from bask_data.formats.poses import other_readings, parse_transform, to_world_from_camera
+from bask_data.formats.recording import RobotRecording, SourceCamera, SourceRecording
 
 INTRINSICS = {
     "freiburg1": "517.3,516.5,318.6,255.3",
@@ -25,10 +27,10 @@ INTRINSICS = {
 
 def read(source: Path, options: TumOptions) -> SourceRecording:
     """The frames in `source` for which colour, depth and pose are close enough in time."""
-    source_folder(source)
-    color_time, color_files = _file_list(source, "rgb.txt")
-    depth_time, depth_files = _file_list(source, "depth.txt")
-    pose_time, poses = _pose_list(source, "groundtruth.txt")
+    folder = source_folder(source, options.follow_links)
+    color_time, color_files = _file_list(folder, "rgb.txt")
+    depth_time, depth_files = _file_list(folder, "depth.txt")
+    pose_time, poses = _pose_list(folder, "groundtruth.txt", options.quat)
     depth_of = mutual_nearest(color_time, depth_time, options.max_time_difference)
     pose_of = nearest(color_time, pose_time, options.max_time_difference)
     used = np.flatnonzero((depth_of >= 0) & (pose_of >= 0))
@@ -40,29 +42,34 @@ def read(source: Path, options: TumOptions) -> SourceRecording:
             got=f"none of {len(color_time)} colour images",
             fix="check that the clocks agree, or pass a larger --max-time-difference.",
         )
-    world_from_cameras = np.stack(
-        [parse_pose(f"{source / 'groundtruth.txt'}: time {pose_time[k]:.6f}", poses[k]) for k in pose_of[used]]
-    )
-    K, intrinsics_files = parse_intrinsics(source, INTRINSICS.get(options.intrinsics, options.intrinsics))
-    color = tuple(member(source, color_files[i], "rgb.txt") for i in used)
-    depth = tuple(member(source, depth_files[i], "depth.txt") for i in depth_of[used])
-    camera = camera_recording(
-        options.camera,
-        ImageFiles(color, depth),
-        K,
-        options.intrinsics_size,
-        options.depth_scale,
-        world_from_cameras,
-        color_time[used],
+    K, intrinsics_files = parse_intrinsics(folder, INTRINSICS.get(options.intrinsics, options.intrinsics))
+    color = tuple(folder.member(color_files[i], "rgb.txt") for i in used)
+    depth = tuple(folder.member(depth_files[i], "depth.txt") for i in depth_of[used])
+    images = ImageFiles(color, depth)
+    poses = poses[pose_of[used]]
+    world_from_cameras, world_from_gripper, hand_eye = to_world_from_camera(poses, options, folder=folder)
+    camera = SourceCamera(
+        name=options.camera,
+        frames=tuple(color_files[i] for i in used),
+        lens=Lens(K, images.size),
+        world_from_cameras=world_from_cameras,
+        time=color_time[used],
+        color=images.read_color,
+        depth=images.read_depth,
+        depth_scale=options.depth_scale,
+        pose_places=tuple(f"{source / 'groundtruth.txt'}: time {pose_time[k]:.6f}" for k in pose_of[used]),
+        intrinsics_size=options.intrinsics_size,
+        otherwise=other_readings(poses, options, folder=folder),
     )
     return SourceRecording(
         cameras=(camera,),
-        robot=None,
+        robot=None if world_from_gripper is None else RobotRecording(world_from_gripper),
         label_names={},
-        assumptions=_assumptions(options, len(color_time), used.size) | {"agreement": agreement(camera, {})},
+        assumptions=_assumptions(options, len(color_time), used.size),
         files=(
             *(source / name for name in ("rgb.txt", "depth.txt", "groundtruth.txt")),
             *intrinsics_files,
+            *hand_eye,
             *color,
             *depth,
         ),
@@ -95,8 +102,8 @@ def _assumptions(options: TumOptions, n_color: int, n_used: int) -> dict[str, st
     }
 
 
-def _file_list(source: Path, name: str) -> tuple[Float[ndarray, " n"], list[str]]:
-    path = member(source, name, name)
+def _file_list(folder: Folder, name: str) -> tuple[Float[ndarray, " n"], list[str]]:
+    path = folder.member(name, name)
     words = [line.split(maxsplit=1) for line in read_lines(path)]
     if not words or any(len(line) != 2 for line in words):
         raise BadData(path, "lines", expected="`timestamp file` in each", got=f"{len(words)} lines, some without")
@@ -105,8 +112,8 @@ def _file_list(source: Path, name: str) -> tuple[Float[ndarray, " n"], list[str]
     return time, [file for _, file in words]
 
 
-def _pose_list(source: Path, name: str) -> tuple[Float[ndarray, " n"], list[list[float]]]:
-    path = member(source, name, name)
+def _pose_list(folder: Folder, name: str, quat: str) -> tuple[Float[ndarray, " n"], Float[ndarray, "n 4 4"]]:
+    path = folder.member(name, name)
     rows = [numbers(path, line) for line in read_lines(path)]
     if not rows or any(len(row) != 8 for row in rows):
         raise BadData(
@@ -114,7 +121,7 @@ def _pose_list(source: Path, name: str) -> tuple[Float[ndarray, " n"], list[list
         )
     time = np.array([row[0] for row in rows])
     _check_ascending(path, time)
-    return time, [row[1:] for row in rows]
+    return time, np.stack([parse_transform(f"{path}: time {row[0]:.6f}", row[1:], quat) for row in rows])
 
 
 def _check_ascending(path: Path, time: Float[ndarray, " n"]) -> None:

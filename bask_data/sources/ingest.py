@@ -14,8 +14,8 @@ from bask_data.dataset import Dataset, Source, check_name
 from bask_data.engine import Origin, Outcome, progress, scratches
 from bask_data.errors import BadData
 from bask_data.formats import Format
+from bask_data.formats.options.common import SourceOptions
 from bask_data.kinds import CameraFrames, Demonstration, Recording, Robot, Scan, Truth
-from bask_data.params import Params
 from bask_data.sources.recordings import is_current, published_recording, refuse_other_scope, undone_if_new, up_to_date
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def ingest(
     *,
     format: Format,
     source: Path,
-    options: Params,
+    options: SourceOptions,
     kind: Literal["scan", "demonstration"] = "scan",
     force: bool = False,
 ) -> tuple[list[Outcome], dict[str, str]]:
@@ -70,9 +70,9 @@ def _write(
     item: str,
     format: Format,
     source: Path,
-    options: Params,
+    options: SourceOptions,
     makes: type[Scan] | type[Demonstration],
-    read: recording.SourceRecording,
+    read: recording.PreparedRecording,
     key: str,
 ) -> list[Outcome]:
     begun = time.perf_counter()
@@ -97,9 +97,9 @@ def _enter(
     item: str,
     format: Format,
     source: Path,
-    options: Params,
+    options: SourceOptions,
     makes: type[Recording],
-    read: recording.SourceRecording,
+    read: recording.PreparedRecording,
 ) -> None:
     """Enter a published recording in `dataset.json`."""
     if not read.has_labels:
@@ -110,11 +110,13 @@ def _enter(
     dataset.add(makes.scope, item, Source(format=format.name, path=path, options=changed, truth=read.has_labels))
 
 
-def _source_digest(source: Path, read: recording.SourceRecording) -> str:
+def _source_digest(source: Path, read: recording.PreparedRecording) -> str:
     return digest_of({os.path.relpath(file, source): file_digest(file) for file in read.files})
 
 
-def _key(makes: type[Recording], format: Format, options: Params, source: Path, read: recording.SourceRecording) -> str:
+def _key(
+    makes: type[Recording], format: Format, options: SourceOptions, source: Path, read: recording.PreparedRecording
+) -> str:
     return digest_of(
         {
             "kind": makes.kind,
@@ -128,7 +130,7 @@ def _key(makes: type[Recording], format: Format, options: Params, source: Path, 
 
 
 def _write_recording(
-    out: Path, makes: type[Scan] | type[Demonstration], format: Format, read: recording.SourceRecording
+    out: Path, makes: type[Scan] | type[Demonstration], format: Format, read: recording.PreparedRecording
 ) -> None:
     arguments: dict[str, Any] = {}
     if makes is Demonstration and read.robot is not None:
@@ -174,7 +176,7 @@ def _checked(camera: recording.CameraRecording) -> Callable[[int], tuple[Any, An
     return read
 
 
-def _write_truth(out: Path, read: recording.SourceRecording) -> None:
+def _write_truth(out: Path, read: recording.PreparedRecording) -> None:
     cameras = {
         camera.name: (camera.n_frames, (camera.height, camera.width), camera.labels)
         for camera in read.cameras

@@ -21,13 +21,13 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from bask_data.params import Params
+from bask_data.formats.options.common import SourceOptions
 
 if TYPE_CHECKING:
     from bask_data.formats.recording import SourceRecording
 
 
-class ToyOptions(Params):
+class ToyOptions(SourceOptions):
     """Images from above."""
 
     height_above: float = Field(0.5, gt=0, description="Metres from the camera to the plane.")
@@ -38,20 +38,21 @@ def read(source: Path, options: ToyOptions) -> SourceRecording:
     import cv2
     import numpy as np
 
-    from bask_data.formats.recording import CameraRecording, SourceRecording
+    from bask_data.formats.recording import SourceCamera, SourceRecording
+    from bask_data.core.lens import Lens
 
     files = tuple(sorted(source.glob("*.png")))
     height, width = cv2.imread(str(files[0])).shape[:2]
     depth = np.full((height, width), round(options.height_above * 1000), np.uint16)
-    camera = CameraRecording(
+    camera = SourceCamera(
         name="above",
-        K=np.array([[50.0, 0, width / 2], [0, 50.0, height / 2], [0, 0, 1]]),
-        height=height,
-        width=width,
+        frames=tuple(file.stem for file in files),
+        lens=Lens(np.array([[50.0, 0, width / 2], [0, 50.0, height / 2], [0, 0, 1]]), (height, width)),
         depth_scale=0.001,
         world_from_cameras=np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (len(files), 1, 1)),
         time=np.arange(float(len(files))),
-        read=lambda i: (cv2.imread(str(files[i]))[..., ::-1].copy(), depth),
+        color=lambda i: cv2.imread(str(files[i]))[..., ::-1].copy(),
+        depth=lambda i: depth,
     )
     return SourceRecording((camera,), None, {}, {"depth": f"{options.height_above:g} m everywhere"}, files)
 '''

@@ -22,8 +22,8 @@ from bask_data.core.geometry import (
 )
 from bask_data.errors import BadData
 from bask_data.formats import FORMATS
-from bask_data.formats.camera import ImageFiles
-from bask_data.formats.options import ApcOptions
+from bask_data.formats.image_files import ImageFiles
+from bask_data.formats.options.apc import ApcOptions
 from bask_data.formats.recording import SourceRecording
 from tests.formats.folders import median_depth_disagreement, write_image
 
@@ -145,7 +145,7 @@ def test_a_calibration_without_a_frames_pose_is_refused(scan: Path) -> None:
 def test_a_calibration_with_a_broken_pose_is_refused_by_the_frames_name(scan: Path) -> None:
     info = (scan / "cam.info.txt").read_text().replace(" 4.35946526e-01", "-4.35946526e-01", 1)
     (scan / "cam.info.txt").write_text(info)
-    with pytest.raises(BadData, match="cam.info.txt: frame-000000: pose: expected a rigid transform"):
+    with pytest.raises(BadData, match="cam.info.txt of frame 000000: pose: expected a rigid transform"):
         read(scan)
 
 

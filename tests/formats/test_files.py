@@ -22,12 +22,12 @@ def test_a_source_that_is_not_a_folder_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("relative", ["../secret.txt", "/etc/passwd", "a/../../secret.txt"])
 def test_a_path_out_of_the_source_folder_is_refused(tmp_path: Path, relative: str) -> None:
     with pytest.raises(BadData, match="expected a path inside the source folder"):
-        files.member(tmp_path, relative, "rgb.txt")
+        files.Folder(tmp_path).member(relative, "rgb.txt")
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(BadData, match="gone.txt: rgb.txt: expected a file, got no such path"):
-        files.member(tmp_path, "gone.txt", "rgb.txt")
+        files.Folder(tmp_path).member("gone.txt", "rgb.txt")
 
 
 def test_a_link_out_of_the_source_folder_is_refused_and_one_inside_is_followed(tmp_path: Path) -> None:
@@ -38,44 +38,44 @@ def test_a_link_out_of_the_source_folder_is_refused_and_one_inside_is_followed(t
     (source / "out").symlink_to(tmp_path / "secret")
     (source / "in").symlink_to(source / "inside")
     with pytest.raises(BadData, match="got a link out of it"):
-        files.member(source, "out", "--color")
-    assert files.member(source, "in", "--color").read_text() == "x"
+        files.Folder(source).member("out", "--color")
+    assert files.Folder(source).member("in", "--color").read_text() == "x"
 
 
 def test_a_pipe_is_refused_instead_of_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(BadData, match="expected a regular file, got something else"):
-        files.member(tmp_path, "pipe", "--color")
+        files.Folder(tmp_path).member("pipe", "--color")
 
 
 @pytest.mark.parametrize("pattern", ["frame.png", "*/*.png", "**"])
 def test_a_pattern_without_exactly_one_star_is_refused(tmp_path: Path, pattern: str) -> None:
     with pytest.raises(UsageError, match="--color: expected a pattern with one \\*"):
-        files.matching(tmp_path, pattern, "color")
+        files.Folder(tmp_path).matching(pattern, "color")
 
 
 @pytest.mark.parametrize("pattern", ["../*.png", "/tmp/*.png"])
 def test_a_pattern_out_of_the_source_folder_is_refused(tmp_path: Path, pattern: str) -> None:
     with pytest.raises(UsageError, match="expected a pattern inside SOURCE"):
-        files.matching(tmp_path, pattern, "color")
+        files.Folder(tmp_path).matching(pattern, "color")
 
 
 def test_a_pattern_that_matches_no_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadData, match="--color: expected files that match 'a-\\*.png', got none.  fix: pass --color"):
-        files.matching(tmp_path, "a-*.png", "color")
+        files.Folder(tmp_path).matching("a-*.png", "color")
 
 
 def test_files_are_named_by_the_text_that_the_star_matches_with_frame_9_before_frame_10(tmp_path: Path) -> None:
     for name in ("a[1]-10.png", "a[1]-9.png", "a[1]-9.txt", "a1-11.png"):
         (tmp_path / name).touch()
-    assert list(files.matching(tmp_path, "a[1]-*.png", "color")) == ["9", "10"]
+    assert list(files.Folder(tmp_path).matching("a[1]-*.png", "color")) == ["9", "10"]
 
 
 def test_a_star_may_match_a_folder(tmp_path: Path) -> None:
     for name in ("2", "10"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "rgb.png").touch()
-    assert list(files.matching(tmp_path, "*/rgb.png", "color")) == ["2", "10"]
+    assert list(files.Folder(tmp_path).matching("*/rgb.png", "color")) == ["2", "10"]
 
 
 @given(st.lists(st.integers(0, 10**9), unique=True))
@@ -93,10 +93,11 @@ def test_the_frame_number_is_the_last_one_in_a_name() -> None:
 def test_frames_without_a_partner_are_named(tmp_path: Path) -> None:
     color = {str(i): tmp_path for i in range(10)}
     depth = {str(i): tmp_path for i in (0, 2)}
-    with pytest.raises(BadData) as error:
-        files.paired(tmp_path, {"color": color, "depth": depth})
+    names, missing = files.paired(tmp_path, {"color": color, "depth": depth})
+    assert names == [str(i) for i in range(10)]
+    assert list(missing) == [str(i) for i in (1, 3, 4, 5, 6, 7, 8, 9)]
     assert "frame 1, 3, 4, 5, 6 and 3 more: expected a depth file for every frame, got none for 8 of 10" in str(
-        error.value
+        missing["1"]
     )
 
 

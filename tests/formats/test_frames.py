@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from bask_data.core.geometry import invert_rigid
 from bask_data.errors import BadData, BaskError
 from bask_data.formats import FORMATS
-from bask_data.formats.options import FramesOptions
+from bask_data.formats.options.frames import FramesOptions
 from bask_data.formats.recording import SourceRecording
 from tests.formats.folders import INTRINSICS, K, images, median_depth_disagreement, rigid, write_frames, write_image
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from bask_data.errors import BadData, UsageError
 from bask_data.formats import FORMATS, tum
-from bask_data.formats.options import TumOptions
+from bask_data.formats.options.tum import TumOptions
 from bask_data.formats.recording import SourceRecording
 from tests.formats.folders import INTRINSICS, images, rigid, write_image
 

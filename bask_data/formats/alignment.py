@@ -1,0 +1,261 @@
+"""Colour and depth of a frame on the same pinhole pixels: undistorted, and one registered to the other.
+
+Depth that lies on colour stays as it is. Depth of the same camera in another resolution (phones) keeps its pixels, and
+colour is brought to them; depth of another camera is registered into colour by z-buffered splatting.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt8, UInt16
+from numpy import ndarray
+
+from bask_data.core.lens import Distortion, Lens, undistorted, undistortion
+from bask_data.core.registration import color_at_depth_size, labels_at_depth_size, registered_depth
+from bask_data.errors import BadData, UsageError
+from bask_data.formats.depth_values import DepthValues, depth_values
+from bask_data.formats.files import Folder
+from bask_data.formats.intrinsics import check_intrinsics, parse_intrinsics
+from bask_data.formats.options.common import SourceOptions
+from bask_data.formats.poses import read_pose
+from bask_data.formats.recording import SourceCamera
+
+
+@dataclass(frozen=True)
+class AlignedFrames:
+    """A camera's kept frames, on the pixels of one pinhole camera.
+
+    Args:
+        camera: with lenses and extrinsics as files and options state them.
+        kept: indices of the frames among the source's.
+        to: whose pixels are kept, `color` or `depth`; None where depth lies on colour.
+        assumptions: what was done, and lost.
+    """
+
+    camera: SourceCamera
+    kept: list[int]
+    to: str | None
+    values: DepthValues
+    assumptions: dict[str, str]
+    least_confidence: int | None = None
+
+    @property
+    def _lens(self) -> Lens:
+        lens = self.camera.depth_lens if self.to == "depth" else None
+        return lens or self.camera.lens
+
+    @property
+    def K(self) -> Float[ndarray, "*t 3 3"]:
+        """(3, 3), or (t, 3, 3) of the kept frames, pixels."""
+        K = self._lens.K
+        return K[self.kept] if K.ndim == 3 else K
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width), pixels."""
+        return self._lens.size
+
+    @property
+    def depth_scale(self) -> float:
+        """Metres per unit of the depth that `read` returns."""
+        return self.values.scale
+
+    @property
+    def distortion(self) -> Distortion | None:
+        """The lens distortion that is taken out."""
+        return self._lens.distortion
+
+    def read(self, k: int) -> tuple[UInt8[ndarray, "h w 3"], UInt16[ndarray, "h w"]]:
+        """RGB and raw depth of the k-th kept frame."""
+        i = self.kept[k]
+        color = self._checked("colour", i, self.camera.color(i), self.camera.lens)
+        lens = self.camera.lens.at(i)
+        maps = undistortion(lens)
+        color = undistorted(color, maps)
+        depth_lens = (self.camera.depth_lens or self.camera.lens).at(i)
+        raw = self._measured(i, depth_lens)
+        raw = undistorted(raw, undistortion(depth_lens) if self.camera.depth_lens else maps)
+        if self.to == "depth":
+            color = color_at_depth_size(color, lens.K, depth_lens.K, depth_lens.size)
+        elif self.to == "color":
+            metres = self.values.metres(raw)
+            raw = self.values.quantised(
+                registered_depth(metres, depth_lens.K, lens.K, lens.size, _extrinsics(self.camera))
+            )
+        return color, self.values.stored(raw)
+
+    def read_labels(self, k: int) -> UInt8[ndarray, "h w"]:
+        """Labels of the k-th kept frame."""
+        assert self.camera.labels is not None
+        i = self.kept[k]
+        lens = self.camera.lens.at(i)
+        labels = self.camera.labels(i)
+        if self.to == "depth" and self.camera.depth_lens and labels.shape == self.camera.depth_lens.size:
+            return undistorted(labels, undistortion(self.camera.depth_lens.at(i)))
+        labels = undistorted(self._checked("labels", i, labels, self.camera.lens), undistortion(lens))
+        if self.to == "depth" and self.camera.depth_lens:
+            depth_lens = self.camera.depth_lens.at(i)
+            return labels_at_depth_size(labels, lens.K, depth_lens.K, depth_lens.size)
+        return labels
+
+    def _measured(self, i: int, lens: Lens) -> UInt16[ndarray, "h w"] | Float32[ndarray, "h w"]:
+        """Raw depth without values that mean none, and of enough confidence."""
+        raw = self.values.cleaned(self._checked("depth", i, self.camera.depth(i), lens))
+        if self.camera.confidence is not None and self.least_confidence is not None:
+            confidence = self._checked("confidence", i, self.camera.confidence(i), lens)
+            raw = np.where(confidence >= self.least_confidence, raw, raw.dtype.type(0))
+        return raw
+
+    def _checked(self, what: str, i: int, image: Any, lens: Lens) -> Any:
+        if image.shape[:2] != lens.size:
+            raise BadData(
+                f"{self.camera.name} {self.camera.frames[i]}",
+                f"size of {what}",
+                expected=f"{lens.size[1]} x {lens.size[0]}",
+                got=f"{image.shape[1]} x {image.shape[0]}",
+                fix=SIZE_FIX if what == "depth" else "images of one recording must have one size.",
+            )
+        return image
+
+
+SIZE_FIX = (
+    "pass --depth-intrinsics with the depth camera's, and --color-from-depth if it is another camera than colour's; "
+    "--depth-intrinsics scaled if it is the same camera in another resolution."
+)
+"""What to do about depth of another size than colour."""
+
+
+def aligned(source: Path, camera: SourceCamera, kept: list[int], options: SourceOptions) -> AlignedFrames:
+    """The frames of a camera on one set of pixels, as files and options say.
+
+    Raises:
+        BadData: intrinsics do not fit the images, or depth's size does not fit colour's and nothing says why.
+        UsageError: an option does not apply, or is invalid.
+    """
+    folder = Folder(source if source.is_dir() else source.parent, options.follow_links)
+    camera, assumptions = _with_options(folder, camera, kept[0], options)
+    check_lens(camera, camera.lens, camera.intrinsics_size)
+    camera.color(kept[0])  # Its errors come first: swapped colour and depth are easier to see in colour.
+    to = None
+    if camera.depth_lens is not None or camera.color_from_depth is not None:
+        camera = camera if camera.depth_lens else replace(camera, depth_lens=camera.lens)
+        assert camera.depth_lens is not None
+        check_lens(camera, camera.depth_lens, "")
+        to = options.align if options.align != "auto" else ("depth" if camera.color_from_depth is None else "color")
+        if to == "depth" and camera.color_from_depth is not None:
+            raise UsageError(
+                "--align",
+                expected="color: depth was measured by another camera",
+                got="depth",
+                fix="leave out --align.",
+            )
+    if options.confidence is not None and camera.confidence is None:
+        raise UsageError("--confidence", expected="a source with confidence maps", got="none", fix="leave it out.")
+    values = depth_values(camera, kept)
+    assumptions |= _stated(camera, to, options, values)
+    return AlignedFrames(camera, kept, to, values, assumptions, options.confidence)
+
+
+def check_lens(camera: SourceCamera, lens: Lens, stated: str) -> None:
+    """Check that intrinsics fit the images they are for, and that the distortion can be taken out; `BadData`."""
+    for K in lens.K if lens.K.ndim == 3 else [lens.K]:
+        check_intrinsics(camera.name, K, lens.size, stated)
+    try:
+        undistortion(lens.at(0))
+    except ValueError as error:
+        raise BadData(
+            camera.name,
+            "lens",
+            expected="a distortion that can be taken out",
+            got=str(error),
+            fix="check the order of its numbers, and the model's name.",
+        ) from error
+
+
+def _with_options(
+    folder: Folder, camera: SourceCamera, first: int, options: SourceOptions
+) -> tuple[SourceCamera, dict[str, str]]:
+    """The camera with what options state instead of its files."""
+    assumptions = {}
+    if options.distortion:
+        lens = replace(camera.lens, distortion=parse_distortion(options.distortion))
+        camera = replace(camera, lens=lens)
+    if options.depth_intrinsics:
+        size = camera.depth(first).shape[:2]
+        if options.depth_intrinsics == "scaled":
+            camera = replace(camera, depth_lens=scaled_lens(camera.lens, (size[0], size[1])))
+        else:
+            K, _ = parse_intrinsics(folder, options.depth_intrinsics)
+            camera = replace(camera, depth_lens=Lens(K, (size[0], size[1])))
+        assumptions["depth intrinsics"] = options.depth_intrinsics
+    if options.color_from_depth:
+        path = Path(options.color_from_depth)
+        path = path if path.is_file() else folder.member(options.color_from_depth, "--color-from-depth")
+        camera = replace(camera, color_from_depth=read_pose(path))
+    return camera, assumptions
+
+
+def scaled_lens(lens: Lens, size: tuple[int, int]) -> Lens:
+    """The lens of the same camera's images of another size.
+
+    K is scaled plainly, without moving the principal point by half a pixel before and after: so do the phone apps' own
+    readers, whose K refers to pixel centres at integers in both sizes.
+    """
+    K = lens.K.copy()
+    K[..., 0, :] *= size[1] / lens.size[1]
+    K[..., 1, :] *= size[0] / lens.size[0]
+    return Lens(K, size, lens.distortion)
+
+
+def parse_distortion(text: str) -> Distortion:
+    """The lens in `MODEL:NUMBERS`; `UsageError` for anything else."""
+    model, _, numbers = text.partition(":")
+    try:
+        values = tuple(float(word) for word in numbers.replace(",", " ").split())
+        return Distortion("OPENCV_FISHEYE" if model.lower() == "fisheye" else model, values)
+    except ValueError as error:
+        raise UsageError(
+            "--distortion",
+            expected="MODEL:NUMBERS",
+            got=f"{text!r} ({error})",
+            fix="for instance opencv:-0.12,0.05,0.001,-0.0008.",
+        ) from error
+
+
+def _extrinsics(camera: SourceCamera) -> Float[ndarray, "4 4"]:
+    return np.eye(4) if camera.color_from_depth is None else camera.color_from_depth
+
+
+def _stated(camera: SourceCamera, to: str | None, options: SourceOptions, values: DepthValues) -> dict[str, str]:
+    """What was done to the images, and what it costs."""
+    stated = dict(values.assumptions)
+    width, height = camera.lens.size[::-1]
+    if to and camera.depth_lens:
+        depth_size = f"{camera.depth_lens.size[1]} x {camera.depth_lens.size[0]}"
+        if to == "depth":
+            stated["alignment"] = (
+                f"colour of {width} x {height} was resampled to depth's pixels, {depth_size}; finer detail is lost"
+            )
+        else:
+            stated["alignment"] = (
+                f"depth of {depth_size} was registered into colour, {width} x {height}, by splatting with a z-buffer; "
+                "what the colour camera alone sees has no depth"
+            )
+    for what, lens in (("colour", camera.lens), ("depth", camera.depth_lens)):
+        if lens is not None and lens.distortion is not None and not lens.distortion.is_none:
+            numbers = ", ".join(f"{value:g}" for value in lens.distortion.parameters)
+            both = "colour and depth" if camera.depth_lens is None else what
+            stated[f"lens of {both}"] = (
+                f"{lens.distortion.model} distortion ({numbers}) was taken out, K kept: colour interpolated, depth "
+                "from the nearest pixel; what lies outside the pinhole image is lost"
+            )
+    if camera.confidence is not None:
+        least = options.confidence
+        stated["confidence"] = (
+            "all depth is kept; --confidence N leaves out what is below N" if least is None else f"{least} and above"
+        )
+    return stated

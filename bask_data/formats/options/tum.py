@@ -1,0 +1,27 @@
+"""Options of `ingest tum`."""
+
+from __future__ import annotations
+
+from pydantic import Field, FiniteFloat
+
+from bask_data.formats.options.common import PoseOptions, Text
+from bask_data.params import NAME, SIZE
+
+
+class TumOptions(PoseOptions):
+    """A sequence in the layout of the TUM RGB-D benchmark."""
+
+    camera: str = Field("camera", pattern=NAME, description="Name of the camera in the dataset: wrist, overhead.")
+    intrinsics: Text = Field(
+        "",
+        description="freiburg1, freiburg2 or freiburg3: the benchmark's calibration; or fx,fy,cx,cy, or a text file.",
+    )
+    intrinsics_size: str = Field(
+        "",
+        pattern=SIZE,
+        description="WIDTHxHEIGHT of the images used to calibrate the intrinsics; checked against the files.",
+    )
+    depth_scale: FiniteFloat = Field(0.0002, gt=0, description="Metres per unit of the depth files.")
+    max_time_difference: FiniteFloat = Field(
+        0.02, gt=0, description="Largest difference in seconds between a colour image and its depth and pose."
+    )
