@@ -35,7 +35,6 @@ EXAMPLES = {
     """,
 }
 
-Source = Annotated[Path, typer.Argument(help="The recording's folder.", metavar="SOURCE", exists=True, file_okay=False)]
 Scene = Annotated[str, typer.Option("--scene", help="Name of the recording in the dataset.", metavar="NAME")]
 As = Annotated[
     Literal["scan", "demonstration"], typer.Option("--as", help="A scan of a static scene, or a demonstration.")
@@ -55,8 +54,9 @@ def _group() -> None:
 
 
 def _add_format(format: Format) -> None:
+    source_type = Annotated[Path, typer.Argument(help=format.wants, metavar="SOURCE", exists=True)]
     parameters = [
-        parameter("source", Source, inspect.Parameter.empty),
+        parameter("source", source_type, inspect.Parameter.empty),
         parameter("root", Root, inspect.Parameter.empty),
         parameter("scene", Scene, inspect.Parameter.empty),
         parameter("as_", As, "scan"),

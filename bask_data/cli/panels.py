@@ -78,12 +78,10 @@ PANELS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "Speed": ("every", "scale"),
     },
     "frames": {
-        EVERYDAY: ("camera", "color", "depth", "pose", "intrinsics", "fps"),
+        EVERYDAY: ("camera", "color", "depth", "pose", "intrinsics", "fps", "frames"),
         "Conventions of the files": (
             "depth_scale",
             "invalid_depth",
-            "pose_is",
-            "axes",
             "intrinsics_size",
             "timestamps",
         ),
@@ -96,9 +94,19 @@ PANELS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
 }
 
 
+SHARED: Mapping[str, tuple[str, ...]] = {
+    "Frames": ("skip_bad", "follow_links", "labels", "local_origin"),
+    "Conventions of the poses": ("pose_is", "axes", "pose_unit", "quat", "gripper_from_camera"),
+    "Depth and lens": ("confidence", "align", "depth_intrinsics", "color_from_depth", "distortion"),
+}
+"""Headings of options that all or many formats have, after their own."""
+
+
 def panels_of(command: str, fields: list[str]) -> dict[str, str]:
     """The heading of each field of a command's parameters, in the order in which they are listed."""
     table = PANELS.get(command, {})
     listed = {field: panel for panel, members in table.items() for field in members}
+    shared = {field: panel for panel, members in SHARED.items() for field in members if field not in listed}
     other = OTHERS if table else EVERYDAY
-    return {**listed, **{field: other for field in fields if field not in listed}}
+    own = {field: other for field in fields if field not in listed and field not in shared}
+    return {**listed, **own, **shared}
