@@ -85,6 +85,8 @@ class Artifact:
     scope: ClassVar[Scope]
     has_variants: ClassVar[bool] = False
     schema_version: ClassVar[int] = 1
+    opens: ClassVar[tuple[int, ...]] = ()
+    """Older versions of the schema that are opened, too."""
     metadata_model: ClassVar[type[Metadata]] = Metadata
     arrays: ClassVar[dict[str, ArraySpec]] = {}
     tables: ClassVar[dict[str, TableSpec]] = {}
@@ -130,6 +132,11 @@ class Artifact:
         """Lines to show when the artifact was made; most kinds have none."""
         return []
 
+    @classmethod
+    def can_open(cls, manifest: Manifest) -> bool:
+        """Whether an artifact with this manifest is of this kind, and of a version that is opened."""
+        return manifest.kind == cls.kind and manifest.schema_version in (cls.schema_version, *cls.opens)
+
     def check_complete(self) -> None:
         """Refuse an artifact of another version, or with missing files: a missing chunk would read as zeros.
 
@@ -137,7 +144,7 @@ class Artifact:
             BadData: the manifest is damaged, of another kind or version, or lists a file that is missing.
         """
         manifest = self.manifest
-        if (manifest.kind, manifest.schema_version) != (self.kind, self.schema_version):
+        if not self.can_open(manifest):
             expected, got = f"{self.kind} v{self.schema_version}", f"{manifest.kind} v{manifest.schema_version}"
             raise BadData(self.path, "schema", expected=expected, got=got, fix="make it again: `bask-data run`.")
         for name in manifest.files:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,8 @@ from bask_data.artifact import Artifact
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
 from bask_data.kinds import Recording
+from bask_data.kinds.cameras import RecordingMetadata
+from bask_data.spelling import number_of
 from bask_data.validate import artifacts_on_disk, total_bytes
 
 
@@ -20,6 +23,7 @@ class Holding:
         artifact: path relative to the dataset.
         made_by: stage and version.
         cameras: cameras of a recording, as `frames x WIDTHxHEIGHT` by name.
+        stated: what a recording says of its reading beyond the assumptions, in short lines.
         fault: why the artifact cannot be read; then all other fields but its path are empty.
     """
 
@@ -30,6 +34,7 @@ class Holding:
     metadata: dict[str, Any]
     cameras: dict[str, str]
     fault: str = ""
+    stated: tuple[str, ...] = ()
 
 
 def contents(dataset: Dataset) -> list[Holding]:
@@ -54,6 +59,7 @@ def _holding(artifact: Artifact, place: str) -> Holding:
         digest=manifest.digest,
         metadata={key: value for key, value in artifact.attributes.items() if key not in ("kind", "schema")},
         cameras=_camera_sizes(artifact),
+        stated=tuple(_stated(artifact.metadata)) if isinstance(artifact, Recording) else (),
     )
 
 
@@ -62,3 +68,13 @@ def _camera_sizes(artifact: Artifact) -> dict[str, str]:
         return {}
     shapes = artifact.camera_shapes()
     return {name: f"{n_frames} x {width}x{height}" for name, (n_frames, height, width) in shapes.items()}
+
+
+def _stated(metadata: RecordingMetadata) -> Iterator[str]:
+    if any(metadata.origin):
+        yield f"origin {', '.join(f'{value:.12g}' for value in metadata.origin)} m in the source's world frame"
+    if metadata.left_out:
+        first, why = next(iter(metadata.left_out.items()))
+        yield f"{number_of(len(metadata.left_out), 'frame')} left out, the first {first}: {why}"
+    for camera, lens in metadata.lenses.items():
+        yield f"{camera} undistorted from {' '.join([lens.model, *(f'{number:.6g}' for number in lens.parameters)])}"

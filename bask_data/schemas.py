@@ -51,10 +51,15 @@ def render() -> dict[str, str]:
     return {name: json.dumps(document, indent=2, ensure_ascii=False) + "\n" for name, document in documents.items()}
 
 
+OLDER = {f"{kind.kind}.v{version}.json" for kind in KINDS for version in kind.opens}
+"""Files of versions that are still opened. They are kept as they were: no code renders them any more."""
+
+
 def differences() -> list[str]:
-    """Names of files in `schemas/` that differ from what the code renders."""
+    """Names of files in `schemas/` that differ from what the code renders, and of older ones that are missing."""
     rendered = render()
     on_disk = {file.name: file.read_text() for file in FOLDER.glob("*.json")}
+    rendered |= {name: on_disk.get(name, "") for name in OLDER}
     return sorted(name for name in rendered.keys() | on_disk.keys() if rendered.get(name) != on_disk.get(name))
 
 
@@ -67,7 +72,8 @@ def main() -> None:
         return
     FOLDER.mkdir(exist_ok=True)
     for file in FOLDER.glob("*.json"):
-        file.unlink()
+        if file.name not in OLDER:
+            file.unlink()
     for name, content in render().items():
         (FOLDER / name).write_text(content)
 

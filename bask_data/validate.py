@@ -89,7 +89,7 @@ def _files(artifact: Artifact, root: Path) -> Iterator[Problem]:
             )
     if content_digest(manifest.files) != manifest.digest:
         yield Problem(f"{where}/{MANIFEST}", "digest: does not match the list of files.", REMAKE)
-    if manifest.kind != artifact.kind or manifest.schema_version != artifact.schema_version:
+    if not artifact.can_open(manifest):
         got = f"{manifest.kind} v{manifest.schema_version}"
         expected = f"{artifact.kind} v{artifact.schema_version}"
         yield Problem(f"{where}/{MANIFEST}", f"kind: expected {expected}, got {got}.", REMAKE)

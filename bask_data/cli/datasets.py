@@ -79,6 +79,7 @@ def _info_lines(file: DatasetFile, holdings: list[Holding]) -> Iterator[str]:
             continue
         cameras = ", ".join(f"{name} {size}" for name, size in holding.cameras.items())
         yield f"  {holding.artifact:<40} {holding.bytes / 1e6:9.1f} MB  {holding.digest[:12]}  {cameras}".rstrip()
+        yield from (f"    {line}" for line in holding.stated)
     yield from _split_lines(file.splits)
 
 

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 CONVENTIONS = {
     "units": "SI: metres, seconds, radians, unless a column says otherwise.",
     "world": "Positions are in the demonstration's world frame, to which the poses of cameras and gripper refer.",
+    "origin": "What was subtracted from all positions, metres, so that float32 holds them. Only if it is not zero, "
+    "columns named ..._world repeat them in float64 with it, in the source's world frame. Actions are as recorded.",
     "keypoints": "Mean of the filter's belief after the frame; x, y, z of the first keypoint, then of the second. "
     "A keypoint that is not localised keeps its last localised position (or has its first one before that).",
     "spread": "Square root of the trace of the belief's covariance: root mean square distance of the keypoint from its "
@@ -49,9 +51,16 @@ class Column:
 STATE = ("keypoints", "spread", "gripper_position", "gripper_rotation", "gripper_width")
 """Columns of a policy's observation, in order."""
 
+POSITIONS = ("keypoints", "gripper_position")
+"""Columns of positions, from which an origin is subtracted."""
 
-def columns_of(demonstration: Demonstration, track: KeypointTrack) -> list[Column]:
-    """Columns of a demonstration: its keypoints, and its robot if recorded."""
+
+def columns_of(demonstration: Demonstration, track: KeypointTrack, is_far: bool) -> list[Column]:
+    """Columns of a demonstration: its keypoints, and its robot if recorded.
+
+    Args:
+        is_far: an origin was subtracted: positions come once more, without it.
+    """
     group, names = demonstration.group, tuple(track.names)
     coordinates = tuple(f"{keypoint}.{axis}" for keypoint in names for axis in "xyz")
     axes = tuple(f"gripper.{axis}_{of}" for axis in ("x_axis", "y_axis") for of in "xyz")
@@ -74,6 +83,10 @@ def columns_of(demonstration: Demonstration, track: KeypointTrack) -> list[Colum
         n_actions = group["robot/action"].shape[1]  # type: ignore[union-attr]
         named = tuple(demonstration.metadata.action_names) or tuple(f"action_{i}" for i in range(n_actions))
         columns.append(Column("action", named, "float32", "Commanded action; units as recorded."))
+    if is_far:
+        again = "The same in the source's world frame, with `origin`."
+        repeated = [column for column in columns if column.name in POSITIONS]
+        columns += [Column(f"{near.name}_world", near.values, "float64", again, "metre") for near in repeated]
     return columns
 
 

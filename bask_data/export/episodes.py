@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from bask_data import __version__
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, UsageError
-from bask_data.export.columns import CONVENTIONS, STATE, Column, checked, columns_of, robot_values
+from bask_data.export.columns import CONVENTIONS, POSITIONS, STATE, Column, checked, columns_of, robot_values
 from bask_data.export.settings import ExportSettings
 from bask_data.formats.files import listed
 from bask_data.kinds import Camera, Demonstration, KeypointTrack, ReferenceKeypoints
@@ -80,6 +80,7 @@ class Episodes:
             )
         self.dataset, self.settings = dataset, settings
         self._held: dict[str, int] = {}
+        self._origins: dict[str, np.ndarray] = {}
         self.entries = [self._entry(name, split) for name, split in _divided(dataset, settings)]
         first = self.entries[0].name
         self.columns = self._columns(first)
@@ -91,6 +92,16 @@ class Episodes:
     def state(self) -> list[Column]:
         """Columns of a policy's observation."""
         return [column for column in self.columns if column.name in STATE]
+
+    @property
+    def origin(self) -> np.ndarray:
+        """Origin (3,) of the positions of all episodes in the world frame of their source, metres: the first one's."""
+        return self._origins[self.entries[0].name]
+
+    @property
+    def is_far(self) -> bool:
+        """Whether a demonstration lies far from the origin of its source."""
+        return any(origin.any() for origin in self._origins.values())
 
     def column(self, name: str) -> Column:
         """The column with a name."""
@@ -148,6 +159,7 @@ class Episodes:
             "keypoints": self.track(self.entries[0].name).names,
             "noise": self.settings.noise,
             "seed": self.settings.seed,
+            "origin": self.origin.tolist(),
             "conventions": CONVENTIONS,
             "columns": [vars(column) for column in self.columns],
             "cameras": {name: list(size) for name, size in self.cameras.items()},
@@ -173,6 +185,8 @@ class Episodes:
         return KeypointTrack(path)
 
     def _entry(self, name: str, split: str) -> Entry:
+        import numpy as np
+
         demonstration, track = self._demonstration(name), self.track(name)
         track.check_complete()
         demonstration.check_complete()
@@ -186,13 +200,14 @@ class Episodes:
                     got=n_frames,
                     fix="encode it again.",
                 )
+        self._origins[name] = np.array(demonstration.metadata.origin)
         fps, n_gaps = _rate(demonstration.cameras[0])
         options = self.dataset.file.demonstrations[name].options
         task = self.settings.task or str(options.get("task") or self.dataset.file.name)
         return Entry(name, split, task, n_frames, fps, n_gaps, track.manifest.digest, track.metadata.filter)
 
     def _columns(self, name: str) -> list[Column]:
-        return columns_of(self._demonstration(name), self.track(name))
+        return columns_of(self._demonstration(name), self.track(name), self.is_far)
 
     def _sizes(self, name: str) -> dict[str, tuple[int, int]]:
         """(height, width) in pixels of each camera whose images are exported."""
@@ -257,6 +272,12 @@ class Episodes:
             "localised": localised,
             **robot_values(demonstration),
         }
+        origin = self._origins[entry.name]
+        for name in POSITIONS:
+            if self.is_far and name in values:
+                values[f"{name}_world"] = values[name] + origin
+                # Origins may differ, but a policy learns from all demonstrations in one frame.
+                values[name] = values[name] + (origin - self.origin)
         cameras = {name: demonstration.camera(name) for name in self.cameras}
         return Episode(
             entry, {c.name: checked(values[c.name], c, demonstration, entry.n_frames) for c in self.columns}, cameras

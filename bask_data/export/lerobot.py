@@ -102,7 +102,7 @@ def _columns(episodes: Episodes) -> list[Column]:
     around = tuple(name for column in episodes.state if column.name in _AROUND for name in column.values)
     environment = Column("observation.environment_state", around, "float32", "Keypoints and their spread again.")
     action = [episodes.column("action")] if episodes.has("action") else []
-    beside = [episodes.column(name) for name in ("observed", "localised", "time")]
+    beside = [episodes.column(name) for name in _BESIDE if episodes.has(name)]
     return [
         state,
         environment,
@@ -113,7 +113,14 @@ def _columns(episodes: Episodes) -> list[Column]:
 
 
 _AROUND = ("keypoints", "spread")
-_BESIDE = {"observed": "keypoints.observed", "localised": "keypoints.localised", "time": "recorded_time"}
+_BESIDE = {
+    "observed": "keypoints.observed",
+    "localised": "keypoints.localised",
+    "time": "recorded_time",
+    "keypoints_world": "keypoints.world",
+    "gripper_position_world": "gripper_position.world",
+}
+"""LeRobot's names of columns that no policy uses unasked."""
 
 
 def _numbered(episode: Episode, i: int, begin: int, task: int, fps: float) -> dict[str, np.ndarray]:
@@ -124,7 +131,7 @@ def _numbered(episode: Episode, i: int, begin: int, task: int, fps: float) -> di
         "observation.state": episode.state,
         "observation.environment_state": np.concatenate([episode.values[name] for name in _AROUND], axis=1),
         **({"action": episode.values["action"]} if "action" in episode.values else {}),
-        **{name: episode.values[of] for of, name in _BESIDE.items()},
+        **{name: episode.values[of] for of, name in _BESIDE.items() if of in episode.values},
         "timestamp": (number / fps).astype(np.float32),
         "frame_index": number,
         "episode_index": np.full_like(number, i),

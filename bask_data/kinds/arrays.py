@@ -63,6 +63,9 @@ class FrameWriter:
     """Writer of an array of frames, shard by shard, so that memory does not grow with the number of frames.
 
     zarr silently truncates assignments of a wrong length; `close` therefore checks the number of frames.
+
+    Args:
+        n_frames: frames to come, or at most so many if `close` is told how many came.
     """
 
     def __init__(
@@ -108,11 +111,18 @@ class FrameWriter:
         if self._n_buffered == len(self._buffer):
             self._flush()
 
-    def close(self) -> None:
-        """Write the buffer; `ValueError` if frames are missing."""
+    def close(self, n_frames: int | None = None) -> None:
+        """Write the buffer; `ValueError` if frames are missing.
+
+        Args:
+            n_frames: frames that came, if they may be fewer than announced: the array is shortened to them.
+        """
         self._flush()
-        if self._n_written != self._n_frames:
-            raise ValueError(f"{self._name}: {self._n_written} frames written, {self._n_frames} announced")
+        announced = self._n_frames if n_frames is None else n_frames
+        if self._n_written != announced:
+            raise ValueError(f"{self._name}: {self._n_written} frames written, {announced} announced")
+        if announced < self._n_frames:
+            self._array.resize((announced, *self._array.shape[1:]))
 
     def _flush(self) -> None:
         if self._n_buffered:

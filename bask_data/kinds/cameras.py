@@ -8,7 +8,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bask_data.artifact import REMAKE, Artifact, Metadata, read_json, write_group
+from pydantic import BaseModel, ConfigDict, FiniteFloat
+
+from bask_data.artifact import REMAKE, Artifact, Metadata, read_attributes, read_json, write_group
 from bask_data.errors import BadData
 from bask_data.kinds.arrays import FrameWriter, read_all, read_frame, start, write_array
 from bask_data.specs import ArraySpec
@@ -42,11 +44,35 @@ CAMERA_ARRAYS = {
 }
 
 
+class LensModel(BaseModel):
+    """A lens distortion that was taken out of the images when they were read; what is stored is a pinhole camera's.
+
+    Args:
+        model: name of the model, as COLMAP and OpenCV call it.
+        parameters: in the model's order, without focal lengths and principal point.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    model: str
+    parameters: list[FiniteFloat]
+
+
 class RecordingMetadata(Metadata):
-    """Source format of a recording, and the assumptions made when it was read."""
+    """Source format of a recording, and the assumptions made when it was read.
+
+    Args:
+        origin: of our world frame in the source's, metres: source_position = position + origin. Coordinates far from
+            zero, such as UTM's, are kept small by it; exports add it again.
+        left_out: frames of the source that were left out, as `camera/number`, and why.
+        lenses: distortion that was taken out of the images, by camera.
+    """
 
     format: str
     assumptions: dict[str, str] = {}
+    origin: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
+    left_out: dict[str, str] = {}
+    lenses: dict[str, LensModel] = {}
 
 
 class Camera:
@@ -152,7 +178,7 @@ class CameraFrames:
         time: (t,), seconds.
         depth_scale: metres per unit of raw depth.
         size: (height, width), pixels.
-        read: returns rgb (h, w, 3) uint8 and raw depth (h, w) uint16 of a frame.
+        read: returns rgb (h, w, 3) uint8 and raw depth (h, w) uint16 of a frame; None leaves the frame out.
     """
 
     K: np.ndarray
@@ -160,14 +186,43 @@ class CameraFrames:
     time: np.ndarray
     depth_scale: float
     size: tuple[int, int]
-    read: Callable[[int], tuple[np.ndarray, np.ndarray]]
+    read: Callable[[int], tuple[np.ndarray, np.ndarray] | None]
 
 
 class Recording(Artifact):
     """What scans and demonstrations share: named cameras with posed RGB-D frames."""
 
+    schema_version = 2
+    opens = (1,)
     metadata_model = RecordingMetadata
     arrays = CAMERA_ARRAYS
+
+    @classmethod
+    def start(
+        cls,
+        out: Path,
+        format: str,
+        assumptions: dict[str, str],
+        *,
+        origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        left_out: dict[str, str] | None = None,
+        lenses: dict[str, LensModel] | None = None,
+        **of_kind: object,
+    ) -> zarr.Group:
+        """Begin writing; `write_camera` adds the cameras, `state_left_out` replaces `left_out` if more were bad.
+
+        Args:
+            origin, left_out, lenses: see `RecordingMetadata`.
+            of_kind: further metadata of the kind.
+        """
+        stated = {"origin": origin, "left_out": left_out or {}, "lenses": lenses or {}}
+        return start(out, cls, {"format": format, "assumptions": assumptions, **stated, **of_kind})
+
+    @staticmethod
+    def state_left_out(out: Path, left_out: dict[str, str]) -> None:
+        """Enter the frames left out, as `camera/number`, and why, in the metadata of a recording being written."""
+        attributes = read_attributes(out)
+        write_group(out, {**attributes, "bask": {**attributes["bask"], "left_out": left_out}})
 
     def camera(self, name: str) -> Camera:
         """The frames of a camera."""
@@ -194,25 +249,32 @@ class Recording(Artifact):
         camera: CameraFrames,
         *,
         frames: Callable[[range], object] = iter,
-    ) -> None:
-        """Write a camera's frames, one in memory at a time.
+    ) -> list[int]:
+        """Write a camera's frames, one in memory at a time, without those that `read` leaves out.
 
         Args:
             frames: wraps the range of frames, to show progress.
+
+        Returns:
+            Numbers of the frames that were written.
         """
         n_frames, size = len(camera.world_from_cameras), camera.size
         write_group(Path(str(group.store_path.store.root)) / group.path / name, {"bask": {"role": "camera"}})  # type: ignore[attr-defined]
-        write_array(group, cls, f"{name}/intrinsics", camera.K)
-        write_array(group, cls, f"{name}/world_from_camera", camera.world_from_cameras)
-        write_array(group, cls, f"{name}/time", camera.time)
         rgb = FrameWriter(group, cls, f"{name}/rgb", n_frames, (*size, 3))
         depth = FrameWriter(group, cls, f"{name}/depth", n_frames, size, scale_m=camera.depth_scale)
+        kept = []
         for i_frame in frames(range(n_frames)):  # type: ignore[attr-defined]
-            color, raw = camera.read(i_frame)
-            rgb.append(color)
-            depth.append(raw)
-        rgb.close()
-        depth.close()
+            frame = camera.read(i_frame)
+            if frame is not None:
+                rgb.append(frame[0])
+                depth.append(frame[1])
+                kept.append(i_frame)
+        rgb.close(len(kept))
+        depth.close(len(kept))
+        write_array(group, cls, f"{name}/intrinsics", _stored_intrinsics(camera.K, kept))
+        write_array(group, cls, f"{name}/world_from_camera", camera.world_from_cameras[kept])
+        write_array(group, cls, f"{name}/time", camera.time[kept])
+        return kept
 
 
 class Scan(Recording):
@@ -221,7 +283,10 @@ class Scan(Recording):
     kind = "scan"
     scope = "scene"
 
-    @staticmethod
-    def start(out: Path, format: str, assumptions: dict[str, str]) -> zarr.Group:
-        """Begin writing; `write_camera` adds the cameras."""
-        return start(out, Scan, {"format": format, "assumptions": assumptions})
+
+def _stored_intrinsics(K: np.ndarray, kept: list[int]) -> np.ndarray:
+    """Intrinsics of the frames kept: (3, 3) if they are the same in all, otherwise (t, 3, 3)."""
+    if K.ndim == 2 or not kept:
+        return K.reshape(-1, 3, 3)[0]
+    Ks = K[kept]
+    return Ks[0] if (Ks == Ks[0]).all() else Ks

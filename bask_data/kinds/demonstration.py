@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bask_data.artifact import write_group
-from bask_data.kinds.arrays import read_all, start, write_array
+from bask_data.kinds.arrays import read_all, write_array
 from bask_data.kinds.cameras import CAMERA_ARRAYS, Recording, RecordingMetadata
 from bask_data.specs import ArraySpec
 
@@ -74,13 +74,6 @@ class Demonstration(Recording):
         names = [name for name in ("world_from_gripper", "gripper_width", "action") if f"robot/{name}" in self.group]
         arrays = {name: read_all(self.group, f"robot/{name}", self.path) for name in names}
         return Robot(**arrays, action_names=tuple(self.metadata.action_names))
-
-    @staticmethod
-    def start(out: Path, format: str, assumptions: dict[str, str], action_names: tuple[str, ...] = ()) -> zarr.Group:
-        """Begin writing; `write_camera` adds the cameras, `write_robot` the robot."""
-        return start(
-            out, Demonstration, {"format": format, "assumptions": assumptions, "action_names": list(action_names)}
-        )
 
     @staticmethod
     def write_robot(out: Path, group: zarr.Group, robot: Robot) -> None:

@@ -122,6 +122,12 @@ class RecordedFrames(Sequence[RecordedFrame]):
         return self._recording.robot if isinstance(self._recording, Demonstration) else None
 
     @property
+    def origin(self) -> tuple[float, float, float]:
+        """Origin of the world frame in the source's, metres: add it to positions to get the source's."""
+        origin: tuple[float, float, float] = self._recording.metadata.origin
+        return origin
+
+    @property
     def Ks(self) -> np.ndarray:
         """Pinhole matrix of each frame (t, 3, 3) float64, pixels; (0, 0) is the centre of the top-left pixel."""
         matrices: np.ndarray = self._camera.Ks[list(self._chosen)]

@@ -16,6 +16,7 @@ from bask_data.errors import BadData
 from bask_data.formats import Format
 from bask_data.formats.options.common import SourceOptions
 from bask_data.kinds import CameraFrames, Demonstration, Recording, Robot, Scan, Truth
+from bask_data.kinds.cameras import LensModel
 from bask_data.sources.recordings import is_current, published_recording, refuse_other_scope, undone_if_new, up_to_date
 
 if TYPE_CHECKING:
@@ -132,7 +133,12 @@ def _key(
 def _write_recording(
     out: Path, makes: type[Scan] | type[Demonstration], format: Format, read: recording.PreparedRecording
 ) -> None:
-    arguments: dict[str, Any] = {}
+    lenses = {
+        camera.name: LensModel(model=camera.distortion.name, parameters=list(camera.distortion.parameters))
+        for camera in read.cameras
+        if camera.distortion is not None
+    }
+    arguments: dict[str, Any] = {"origin": read.origin, "left_out": read.left_out, "lenses": lenses}
     if makes is Demonstration and read.robot is not None:
         arguments["action_names"] = tuple(read.robot.action_names or ())
     group = makes.start(out, format.name, read.assumptions, **arguments)

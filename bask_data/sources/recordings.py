@@ -26,12 +26,22 @@ def is_current(root: Path, makes: type[Recording], item: str, key: str, fix: str
     """Whether the recording is up to date, and has its ground truth if it should.
 
     Raises:
-        WouldOverwrite: the recording exists with other content.
+        WouldOverwrite: the recording exists with other content, or an older version made it: whether its source and
+            options are the same cannot be told from its key, which covers the version.
     """
     target = root / makes.kind / item
     if not target.exists():
         return False
-    if read_manifest(target).key != key:
+    manifest = read_manifest(target)
+    if manifest.key != key and manifest.schema_version < makes.schema_version and makes.can_open(manifest):
+        raise WouldOverwrite(
+            target,
+            "",
+            expected=f"no recording of that name, or one of {makes.kind} v{makes.schema_version}",
+            got=f"{makes.kind} v{manifest.schema_version}, made by an older version of bask-data",
+            fix="keep it, as it opens as it is; or --force reads the source again, and what was made from it is stale.",
+        )
+    if manifest.key != key:
         raise WouldOverwrite(
             target,
             "",

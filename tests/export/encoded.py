@@ -40,6 +40,7 @@ class Demo:
         rng = np.random.default_rng(seed)
         n, k = n_frames, len(KEYPOINTS)
         self.cameras = cameras
+        self.origin = (0.0, 0.0, 0.0)
         self.size = SIZE
         self.time = 5.0 + np.arange(n) / 10.0
         grippers = rotations(n)
@@ -61,7 +62,8 @@ class Demo:
         publish_artifact(dataset, KeypointTrack, item, self._write_track, variant)
 
     def _write_recording(self, out: Path) -> None:
-        group = Demonstration.start(out, "test", {}, self.robot.action_names if self.robot else ())
+        names = self.robot.action_names if self.robot else ()
+        group = Demonstration.start(out, "test", {}, origin=self.origin, action_names=names)
         for camera in self.cameras:
             Demonstration.write_camera(
                 group,

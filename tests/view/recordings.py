@@ -60,7 +60,7 @@ def publish_demonstration(dataset: Dataset, item: str, source: str, robot: Robot
     old = Demonstration(cameras)
 
     def fill(out: Path) -> None:
-        group = Demonstration.start(out, "test", {}, robot.action_names)
+        group = Demonstration.start(out, "test", {}, action_names=robot.action_names)
         for camera in old.cameras:
             Demonstration.write_camera(
                 group,
