@@ -48,7 +48,7 @@ FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "s
 KINDS = {"b": "booleans", "i": "integers", "u": "unsigned integers", "f": "floating-point numbers"}
 
 
-class Frames:
+class StoredFrames:
     """A data set whose first axis is frames, read one at a time, cheapest in ascending order.
 
     Chunks that hold several frames are decoded once: the block of frames around the last one is kept.
@@ -142,7 +142,7 @@ class Hdf5File:
             raise self._too_large(place, n_bytes)
         return self.read(place, dataset, ())
 
-    def frames(self, place: str, shape: tuple[int | None, ...], kinds: str = "f") -> Frames:
+    def frames(self, place: str, shape: tuple[int | None, ...], kinds: str = "f") -> StoredFrames:
         """A data set over frames.
 
         Args:
@@ -154,7 +154,7 @@ class Hdf5File:
             BadData: there is no data set, or one of another shape or type, too large, stored elsewhere, or with filters
                 that are not installed.
         """
-        return Frames(self, place, self._dataset(place, shape, kinds))
+        return StoredFrames(self, place, self._dataset(place, shape, kinds))
 
     def shape(self, place: str) -> tuple[int, ...]:
         """Shape of a data set; `BadData` if there is none."""
