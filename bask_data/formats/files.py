@@ -97,6 +97,28 @@ class Folder:
             )
         return {name: files[name] for name in sorted(files, key=natural)}
 
+    def files_in(self, relative: str, suffixes: tuple[str, ...], what: str) -> dict[str, Path]:
+        """Files with one of the suffixes in the folder at `relative`, by their names without it, in natural order.
+
+        Hidden files are ignored.
+
+        Raises:
+            BadData: there are none, or there are two of the same name.
+        """
+        files: dict[str, Path] = {}
+        for path in sorted((self.path / relative).glob("*")):
+            if path.suffix.lower() not in suffixes or path.name.startswith("."):
+                continue
+            if path.stem in files:
+                got = f"{files[path.stem].name} and {path.name}"
+                fix = "remove the one that is not meant."
+                raise BadData(self.path / relative, what, expected="one file for each frame", got=got, fix=fix)
+            files[path.stem] = self.member(path.relative_to(self.path).as_posix(), what)
+        if not files:
+            expected = f"files {' or '.join(suffixes)}"
+            raise BadData(self.path / relative, what, expected=expected, got="none", fix="check SOURCE.")
+        return {name: files[name] for name in sorted(files, key=natural)}
+
 
 def source_folder(source: Path, follow_links: bool = False) -> Folder:
     """`source` as a folder; `UsageError` if it is none."""
@@ -124,8 +146,14 @@ def frame_number(name: str) -> int | None:
     return int(numbers[-1]) if numbers else None
 
 
-def paired(source: Path, groups: dict[str, dict[str, Path]]) -> tuple[list[str], dict[str, BadData]]:
-    """Names of all frames, in natural order, and for each that lacks a file in some group the error that says so."""
+def paired(
+    source: Path, groups: dict[str, dict[str, Path]], *, patterns: bool = True
+) -> tuple[list[str], dict[str, BadData]]:
+    """Names of all frames, in natural order, and for each that lacks a file in some group the error that says so.
+
+    Args:
+        patterns: whether the groups come from options of the same names, which may be wrong.
+    """
     names = sorted({name for group in groups.values() for name in group}, key=natural)
     faults: dict[str, BadData] = {}
     for kind, group in groups.items():
@@ -138,7 +166,8 @@ def paired(source: Path, groups: dict[str, dict[str, Path]]) -> tuple[list[str],
                     f"frame {listed([name, *(other for other in missing if other != name)])}",
                     expected=f"a {kind} file for every frame",
                     got=f"none for {len(missing)} of {len(names)}",
-                    fix=f"check --{kind}, or pass --skip-bad to leave out the frames without {kind}.",
+                    fix=(f"check --{kind}, or " if patterns else "")
+                    + f"pass --skip-bad to leave out the frames without {kind}.",
                 ),
             )
     return names, faults

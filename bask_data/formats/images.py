@@ -38,7 +38,7 @@ class ImageHeader:
     channels: int
 
 
-def image_header(path: Path, data: bytes | None = None) -> ImageHeader:
+def image_header(path: Path | str, data: bytes | None = None) -> ImageHeader:
     """Header of a complete PNG, JPEG, PGM or PPM file.
 
     Args:
@@ -47,7 +47,7 @@ def image_header(path: Path, data: bytes | None = None) -> ImageHeader:
     Raises:
         BadData: another format, a truncated file, a wrong checksum, or more than `MAX_PIXELS`.
     """
-    data = read_bytes(path) if data is None else data
+    data = read_bytes(Path(path)) if data is None else data
     if data.startswith(PNG_SIGNATURE):
         header = _png_header(path, data)
     elif data.startswith(b"\xff\xd8"):
@@ -67,7 +67,11 @@ def image_header(path: Path, data: bytes | None = None) -> ImageHeader:
 
 def read_color(path: Path) -> UInt8[ndarray, "h w 3"]:
     """A colour image as RGB. Grey is repeated, transparency dropped; EXIF rotation is ignored, as it is by K."""
-    data = read_bytes(path)
+    return decode_color(path, read_bytes(path))
+
+
+def decode_color(path: Path | str, data: bytes) -> UInt8[ndarray, "h w 3"]:
+    """As `read_color`, from the content of a file, or from a part of it; `path` is for messages."""
     header = image_header(path, data)
     check_color(path, header)
     image = _decode(path, data, header, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -90,7 +94,7 @@ def read_labels(path: Path) -> UInt8[ndarray, "h w"]:
     return _decode(path, data, header, cv2.IMREAD_UNCHANGED)
 
 
-def check_color(path: Path, header: ImageHeader) -> None:
+def check_color(path: Path | str, header: ImageHeader) -> None:
     """Refuse colour with more than 8 bits per channel, whose scaling is unknown; `BadData`."""
     if header.bits != 8:
         raise BadData(
@@ -102,7 +106,7 @@ def check_color(path: Path, header: ImageHeader) -> None:
         )
 
 
-def check_depth(path: Path, header: ImageHeader) -> None:
+def check_depth(path: Path | str, header: ImageHeader) -> None:
     """Refuse anything but one channel of 16 bits; `BadData`."""
     if (header.bits, header.channels) != (16, 1):
         raise BadData(
@@ -114,13 +118,13 @@ def check_depth(path: Path, header: ImageHeader) -> None:
         )
 
 
-def check_labels(path: Path, header: ImageHeader) -> None:
+def check_labels(path: Path | str, header: ImageHeader) -> None:
     """Refuse anything but one channel of 8 bits, as palettes decode to colours; `BadData`."""
     if (header.bits, header.channels) != (8, 1):
         raise BadData(path, "labels", expected="one channel of 8 bits", got=f"{header.channels} of {header.bits}")
 
 
-def _decode(path: Path, data: bytes, header: ImageHeader, flags: int) -> ndarray:
+def _decode(path: Path | str, data: bytes, header: ImageHeader, flags: int) -> ndarray:
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
@@ -136,13 +140,13 @@ def _decode(path: Path, data: bytes, header: ImageHeader, flags: int) -> ndarray
     return image
 
 
-def _truncated(path: Path, expected: str) -> BadData:
+def _truncated(path: Path | str, expected: str) -> BadData:
     return BadData(
         path, "image", expected=expected, got="a truncated or corrupted file", fix="copy it again from its source."
     )
 
 
-def _png_header(path: Path, data: bytes) -> ImageHeader:
+def _png_header(path: Path | str, data: bytes) -> ImageHeader:
     """Header of a PNG. Checksums of all chunks take a millisecond and catch errors that decoders only warn about."""
     position, header = len(PNG_SIGNATURE), None
     while position + 12 <= len(data):
@@ -162,7 +166,7 @@ def _png_header(path: Path, data: bytes) -> ImageHeader:
     raise _truncated(path, "a PNG that ends in IEND")
 
 
-def _jpeg_header(path: Path, data: bytes) -> ImageHeader:
+def _jpeg_header(path: Path | str, data: bytes) -> ImageHeader:
     """Header of a JPEG. Its end marker is searched after the segments, as embedded thumbnails have one, too."""
     position, header = 2, None
     while position + 4 <= len(data) and data[position] == 0xFF:
@@ -182,7 +186,7 @@ def _jpeg_header(path: Path, data: bytes) -> ImageHeader:
     return header
 
 
-def _pnm_header(path: Path, data: bytes) -> ImageHeader:
+def _pnm_header(path: Path | str, data: bytes) -> ImageHeader:
     space = rb"(?:\s|#[^\n]*\n)+"
     match = re.match(rb"P([56])" + space + rb"(\d{1,9})" + space + rb"(\d{1,9})" + space + rb"(\d{1,5})\s", data[:4096])
     if match is None:

@@ -42,6 +42,18 @@ def test_a_link_out_of_the_source_folder_is_refused_and_one_inside_is_followed(t
     assert files.Folder(source).member("in", "--color").read_text() == "x"
 
 
+def test_files_of_a_folder_are_found_in_natural_order_without_hidden_ones(tmp_path: Path) -> None:
+    (tmp_path / "color").mkdir()
+    for name in ("10.jpg", "9.JPG", "._9.jpg", "9.txt"):
+        (tmp_path / "color" / name).write_text("x")
+    assert list(files.Folder(tmp_path).files_in("color", (".jpg",), "colour")) == ["9", "10"]
+    (tmp_path / "color" / "9.png").write_text("x")
+    with pytest.raises(BadData, match="color: colour: expected one file for each frame, got 9.JPG and 9.png"):
+        files.Folder(tmp_path).files_in("color", (".jpg", ".png"), "colour")
+    with pytest.raises(BadData, match=r"depth: depth: expected files \.png or \.pgm, got none"):
+        files.Folder(tmp_path).files_in("depth", (".png", ".pgm"), "depth")
+
+
 def test_a_pipe_is_refused_instead_of_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(BadData, match="expected a regular file, got something else"):
