@@ -24,6 +24,7 @@ class Bad:
     Args:
         kind: why, in one or two words.
         error: what is raised if frames may not be left out.
+        is_expected: whether the format itself has such frames, so that nobody needs to ask for leaving them out.
     """
 
     camera: str
@@ -31,6 +32,7 @@ class Bad:
     index: int
     kind: str
     error: BadData
+    is_expected: bool = False
 
     @property
     def reason(self) -> str:
@@ -60,7 +62,8 @@ def bad_frames(camera: SourceCamera, chosen: list[int], options: SourceOptions) 
     """
     for i in chosen:
         if i in camera.faults:
-            yield Bad(camera.name, camera.frames[i], i, "incomplete", camera.faults[i])
+            kind = camera.expected.get(i, "incomplete")
+            yield Bad(camera.name, camera.frames[i], i, kind, camera.faults[i], i in camera.expected)
         elif fault := rigid_fault(camera.world_from_cameras[i], ROUNDED_TOLERANCE):
             finite = bool(np.isfinite(camera.world_from_cameras[i]).all())
             lost = BadData(

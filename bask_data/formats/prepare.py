@@ -46,8 +46,9 @@ def prepared(source: Path, recording: SourceRecording, options: SourceOptions) -
     recording = with_labels(source, recording, options)
     chosen = {camera.name: chosen_frames(camera, options.frames) for camera in recording.cameras}
     bad = [fault for camera in recording.cameras for fault in bad_frames(camera, chosen[camera.name], options)]
-    if bad and not options.skip_bad:
-        refuse(source, bad)
+    refused = [fault for fault in bad if not fault.is_expected]
+    if refused and not options.skip_bad:
+        refuse(source, refused)
     kept = _kept(source, recording, chosen, bad)
     origin = _origin(recording, kept) if options.local_origin else np.zeros(3)
     cameras, assumptions = [], dict(recording.assumptions)

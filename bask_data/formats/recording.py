@@ -41,6 +41,8 @@ class SourceCamera:
         confidence: confidence of a frame's depth, of its size; larger is better.
         labels: object label at each pixel of a frame's colour, 0 = none: ground truth, for reports only.
         faults: why frames cannot be used, as far as the reader knows; by index. `--skip-bad` leaves them out.
+        expected: those of the faults that the format itself has, as ScanNet's frames of lost tracking, with the kind of
+            fault in one or two words; by index. They are left out without `--skip-bad`.
         pose_places: where the pose of each frame stands, for messages.
         intrinsics_size: WIDTHxHEIGHT of the images that the intrinsics are said to be for, or empty.
         otherwise: `world_from_cameras` under other readings of the same files, by the options for them.
@@ -60,6 +62,7 @@ class SourceCamera:
     confidence: Callable[[int], UInt8[ndarray, "h w"]] | None = None
     labels: Callable[[int], UInt8[ndarray, "h w"]] | None = None
     faults: dict[int, BadData] = field(default_factory=dict)
+    expected: dict[int, str] = field(default_factory=dict)
     pose_places: tuple[str, ...] = ()
     intrinsics_size: str = ""
     otherwise: dict[str, Float[ndarray, "t 4 4"]] = field(default_factory=dict)

@@ -89,6 +89,20 @@ def test_bad_frames_are_refused_with_the_option_that_leaves_them_out_and_left_ou
     assert result.assumptions["frames"].startswith("1 of 5; 4 left out: f000 (no depth), f001 (no pose)")
 
 
+def test_faults_that_the_format_itself_has_are_left_out_without_being_asked() -> None:
+    poses = source_camera().world_from_cameras
+    poses[2] = -np.inf
+    fault = BadData("f", "pose of f002", expected="a pose", got="-inf")
+    camera = source_camera(world_from_cameras=poses, faults={2: fault}, expected={2: "tracking lost"})
+    result = prepare(camera)
+    assert result.cameras[0].time.tolist() == [0, 1, 3]
+    assert result.left_out == {"c/f002": fault.fault}
+    assert result.assumptions["frames"] == "3 of 4; 1 left out: f002 (tracking lost)"
+    broken_too = replace(camera, faults={**camera.faults, 1: BadData("f", "depth", expected="a file", got="none")})
+    with pytest.raises(BadData, match="f: depth: expected a file, got none"):
+        prepare(broken_too)
+
+
 def test_a_frame_that_one_camera_lacks_is_lost_to_the_robots_states_too() -> None:
     poses = source_camera().world_from_cameras
     poses[2] = np.nan
