@@ -27,6 +27,10 @@ OUT_HELP = "".join(
     ["Folder to write", *(f"; {format.name}: a {format.suffixes[0]} file" for format in FORMATS if format.is_file), "."]
 )
 
+CAMERAS_HELP = "Include images, depth, intrinsics and poses of the cameras, which `ingest` reads back; " + (
+    " or ".join(format.name for format in FORMATS if format.ingested) + " only."
+)
+
 NAMES = "Which demonstrations"
 KEYPOINTS = "Keypoints"
 
@@ -67,6 +71,7 @@ def export(
     root: Root,
     out: Annotated[Path, typer.Argument(help=OUT_HELP, metavar="OUT")],
     videos: Annotated[bool, typer.Option("--videos", help="Include the cameras' images.")] = False,
+    cameras: Annotated[bool, typer.Option("--cameras", help=CAMERAS_HELP)] = False,
     task: Annotated[
         str, typer.Option(help="Description of the task. [default: that of the source, otherwise the dataset's name]")
     ] = "",
@@ -84,7 +89,15 @@ def export(
     from bask_data.export import export as write_export
 
     settings = ExportSettings(
-        variant, names_of(only), names_of(validation), names_of(test), noise=noise, seed=seed, videos=videos, task=task
+        variant,
+        names_of(only),
+        names_of(validation),
+        names_of(test),
+        noise=noise,
+        seed=seed,
+        videos=videos,
+        cameras=cameras,
+        task=task,
     )
     with shown_progress():
         done = write_export(Dataset(root), out, format, settings, force=force)

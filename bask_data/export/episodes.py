@@ -15,7 +15,7 @@ from bask_data.errors import BadData, UsageError
 from bask_data.export.columns import CONVENTIONS, POSITIONS, STATE, Column, checked, columns_of, robot_values
 from bask_data.export.settings import ExportSettings
 from bask_data.formats.files import listed
-from bask_data.kinds import Camera, Demonstration, KeypointTrack, ReferenceKeypoints
+from bask_data.kinds import Camera, Demonstration, KeypointTrack, ReferenceKeypoints, Robot
 
 if TYPE_CHECKING:
     import numpy as np
@@ -49,11 +49,18 @@ class Entry:
 
 @dataclass(frozen=True)
 class Episode:
-    """Frames of a demonstration: values (t, width) by column, (t,) for scalars, and cameras by name."""
+    """Frames of a demonstration: values (t, width) by column, (t,) for scalars, and cameras by name.
+
+    Args:
+        robot: its states and actions as recorded, not rounded to the columns' types.
+        origin: (3,) of its positions in the world frame of its source, metres.
+    """
 
     entry: Entry
     values: dict[str, np.ndarray]
     cameras: dict[str, Camera]
+    robot: Robot | None
+    origin: np.ndarray
 
     @property
     def state(self) -> np.ndarray:
@@ -211,7 +218,8 @@ class Episodes:
 
     def _sizes(self, name: str) -> dict[str, tuple[int, int]]:
         """(height, width) in pixels of each camera whose images are exported."""
-        cameras = self._demonstration(name).cameras if self.settings.videos else []
+        wanted = self.settings.videos or self.settings.cameras
+        cameras = self._demonstration(name).cameras if wanted else []
         return {camera.name: (camera.height, camera.width) for camera in cameras}
 
     def _check_alike(self, first: str, other: str) -> None:
@@ -279,9 +287,8 @@ class Episodes:
                 # Origins may differ, but a policy learns from all demonstrations in one frame.
                 values[name] = values[name] + (origin - self.origin)
         cameras = {name: demonstration.camera(name) for name in self.cameras}
-        return Episode(
-            entry, {c.name: checked(values[c.name], c, demonstration, entry.n_frames) for c in self.columns}, cameras
-        )
+        columns = {c.name: checked(values[c.name], c, demonstration, entry.n_frames) for c in self.columns}
+        return Episode(entry, columns, cameras, demonstration.robot, origin)
 
 
 def held(values: np.ndarray, known: np.ndarray) -> np.ndarray:

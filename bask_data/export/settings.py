@@ -17,6 +17,7 @@ class ExportSettings:
         noise: standard deviation of Gaussian noise on each coordinate of the keypoints, metres.
         seed: seed of the noise, which depends on a demonstration's name but not on the other demonstrations.
         videos: whether to include the cameras' images.
+        cameras: whether to include the cameras' images, depth, intrinsics and poses, for `ingest` to read back.
         task: description of the task; if empty, that of the demonstration's source, or else the dataset's name.
     """
 
@@ -27,4 +28,5 @@ class ExportSettings:
     noise: float = 0.0
     seed: int = 0
     videos: bool = False
+    cameras: bool = False
     task: str = ""

@@ -24,6 +24,7 @@ class ExportFormat:
         suffixes: suffixes of OUT for a format that is a single file; empty for a folder.
         columns: required columns; demonstrations without them are refused.
         packages: required modules of the extra `export`.
+        ingested: whether `ingest` reads what `--cameras` adds; other formats refuse that option.
     """
 
     name: str
@@ -32,6 +33,7 @@ class ExportFormat:
     suffixes: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
     packages: tuple[str, ...] = ()
+    ingested: bool = False
 
     @property
     def is_file(self) -> bool:
@@ -59,7 +61,7 @@ class ExportFormat:
 
 FORMATS = (
     ExportFormat("parquet", "tables", 'pyarrow.parquet.read_table("{path}/frames.parquet")'),
-    ExportFormat("lerobot", "dataset v3", 'LeRobotDataset("local/{name}", root="{path}")'),
+    ExportFormat("lerobot", "dataset v3", 'LeRobotDataset("local/{name}", root="{path}")', ingested=True),
     ExportFormat(
         "robomimic",
         "HDF5",

@@ -60,6 +60,9 @@ def export(dataset: Dataset, out: Path, format: str, settings: ExportSettings, *
         BaskError: the files cannot be written.
     """
     writer = named(format)
+    if settings.cameras and not writer.ingested:
+        able = " or ".join(other.name for other in FORMATS if other.ingested)
+        raise UsageError("export", "--cameras", expected=f"the format {able}", got=format, fix="pass --videos instead.")
     _refuse(dataset.root, out, writer, force)
     writer.require()
     episodes = Episodes(dataset, settings)

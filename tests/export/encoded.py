@@ -43,6 +43,10 @@ class Demo:
         self.origin = (0.0, 0.0, 0.0)
         self.size = SIZE
         self.time = 5.0 + np.arange(n) / 10.0
+        self.K = np.diag([20.0, 20.0, 1.0])
+        self.world_from_cameras = np.tile(np.eye(4), (n, 1, 1))
+        self.depth_scale = 0.001
+        self.depth = np.zeros((n, *SIZE), np.uint16)
         grippers = rotations(n)
         grippers[:, :3, 3] = rng.normal(size=(n, 3))
         self.robot: Robot | None = Robot(grippers, rng.uniform(0, 0.08, n), rng.uniform(-1, 1, (n, 4)), ACTIONS)
@@ -69,14 +73,14 @@ class Demo:
                 group,
                 camera,
                 CameraFrames(
-                    K=np.diag([20.0, 20.0, 1.0]),
-                    world_from_cameras=np.tile(np.eye(4), (len(self.time), 1, 1)),
+                    K=self.K,
+                    world_from_cameras=self.world_from_cameras,
                     time=self.time,
-                    depth_scale=0.001,
+                    depth_scale=self.depth_scale,
                     size=self.size,
                     read=lambda i, camera=camera: (
                         np.resize(picture(i, camera), (*self.size, 3)),
-                        np.zeros(self.size, np.uint16),
+                        np.resize(self.depth[i], self.size),
                     ),
                 ),
             )
@@ -97,6 +101,21 @@ class Demo:
                         camera: (np.ones((k, 2), np.float32), self.observed[camera][i]) for camera in self.cameras
                     },
                 )
+
+
+def seen_demo(seed: int = 0, n_frames: int = 6, depth_scale: float = 0.001) -> Demo:
+    """A demonstration whose camera moves, zooms and measures depth from 1 to 1.4 m, with holes."""
+    rng = np.random.default_rng(seed)
+    demo = Demo(seed, n_frames)
+    demo.K = np.tile([[20.0, 0, 11.5], [0, 21.0, 7.5], [0, 0, 1]], (n_frames, 1, 1))
+    demo.K[:, 0, 0] += rng.uniform(0, 1, n_frames)
+    demo.world_from_cameras = rotations(n_frames)
+    demo.world_from_cameras[:, :3, 3] = rng.normal(size=(n_frames, 3))
+    demo.depth_scale = depth_scale
+    demo.depth = (rng.uniform(1.0, 1.4, (n_frames, *SIZE)) / depth_scale).astype(np.uint16)
+    demo.depth[rng.random(demo.depth.shape) < 0.1] = 0
+    demo.time = demo.time + rng.uniform(0, 0.003, n_frames)
+    return demo
 
 
 def exported_dataset(root: Path) -> tuple[Dataset, dict[str, Demo]]:

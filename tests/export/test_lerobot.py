@@ -6,15 +6,16 @@ import subprocess
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from bask_data.dataset import Dataset
-from bask_data.errors import BadData
-from bask_data.export import ExportSettings, export, lerobot
-from bask_data.export.lerobot import QUANTILES, image_stats, merged_stats, vector_stats
-from tests.export.encoded import Demo, picture, state
+from bask_data.errors import BadData, UsageError
+from bask_data.export import ExportSettings, export, lerobot_files
+from bask_data.export.lerobot_stats import QUANTILES, image_stats, merged_stats, vector_stats
+from tests.export.encoded import Demo, picture, seen_demo, state
 
 ORDER = "acb"
 KEY = "observation.images.wrist"
@@ -96,9 +97,9 @@ def test_one_video_holds_all_episodes_one_after_the_other(folder: Path) -> None:
 def test_files_that_reach_their_size_end_after_the_episode(
     encoded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lerobot, "DATA_BYTES", 1)
-    monkeypatch.setattr(lerobot, "VIDEO_BYTES", 1)
-    monkeypatch.setattr(lerobot, "FILES_PER_CHUNK", 2)
+    monkeypatch.setattr(lerobot_files, "DATA_BYTES", 1)
+    monkeypatch.setattr(lerobot_files, "VIDEO_BYTES", 1)
+    monkeypatch.setattr(lerobot_files, "FILES_PER_CHUNK", 2)
     export(encoded[0], tmp_path / "out", "lerobot", ExportSettings(videos=True))
     places = [(0, 0), (0, 1), (1, 0)]
     rows = episodes(tmp_path / "out")
@@ -191,6 +192,51 @@ def test_an_export_without_videos_and_actions_has_none(tmp_path: Path) -> None:
     info = meta(tmp_path / "out")
     assert info["video_path"] is None and info["features"]["observation.state"]["shape"] == [8]
     assert "action" not in info["features"] and not (tmp_path / "out" / "videos").exists()
+
+
+def image(value: dict, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:
+    return cv2.imdecode(np.frombuffer(value["bytes"], np.uint8), flags)
+
+
+def test_cameras_are_written_without_loss(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    demo = seen_demo()
+    demo.publish(dataset, "a")
+    done = export(dataset, tmp_path / "out", "lerobot", ExportSettings(cameras=True))
+    assert done.notes == []
+    table = pq.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
+    for i, row in enumerate(table):
+        np.testing.assert_array_equal(image(row[KEY])[..., ::-1], picture(i))
+        np.testing.assert_array_equal(image(row[f"{KEY}_depth"]), demo.depth[i])
+        np.testing.assert_array_equal(row["camera.wrist.world_from_camera"], demo.world_from_cameras[i].ravel())
+        np.testing.assert_array_equal(row["camera.wrist.intrinsics"], demo.K[i].ravel())
+        assert (row["camera.wrist.depth_scale"], row["camera.wrist.time"]) == (0.001, demo.time[i])
+        np.testing.assert_array_equal(row["recorded_world_from_gripper"], demo.robot.world_from_gripper[i].ravel())
+        np.testing.assert_array_equal(row["recorded_action"], demo.robot.action[i])
+        assert row["recorded_gripper_width"] == demo.robot.gripper_width[i]
+    features = meta(tmp_path / "out")["features"]
+    assert (features[KEY]["dtype"], features[KEY]["shape"]) == ("image", [16, 24, 3])
+    assert features[f"{KEY}_depth"]["info"] == {"is_depth_map": True, "depth_unit": "mm"}
+    assert meta(tmp_path / "out")["video_path"] is None
+    stats = meta(tmp_path / "out", "stats")[f"{KEY}_depth"]
+    assert np.ravel(stats["max"]) == demo.depth.max() and np.shape(stats["max"]) == (1, 1, 1)
+    np.testing.assert_allclose(np.ravel(stats["mean"]), demo.depth.mean())
+
+
+def test_depth_in_other_units_than_lerobots_is_noted(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    for name, scale in (("a", 0.001), ("b", 0.0002)):
+        seen_demo(depth_scale=scale).publish(dataset, name)
+    done = export(dataset, tmp_path / "out", "lerobot", ExportSettings(videos=True, cameras=True))
+    [note] = done.notes
+    assert note == f"{KEY}_depth is in steps of 0.2 mm, but LeRobot takes it for millimetres; `ingest` does not."
+    features = meta(tmp_path / "out")["features"]
+    assert features[KEY]["dtype"] == "video" and features[f"{KEY}_depth"]["info"] == {"is_depth_map": True}
+
+
+def test_cameras_are_refused_by_formats_that_ingest_does_not_read(encoded, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--cameras: expected the format .*lerobot.*, got parquet.  fix: pass"):
+        export(encoded[0], tmp_path / "out", "parquet", ExportSettings(cameras=True))
 
 
 READER = """
