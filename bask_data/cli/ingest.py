@@ -26,6 +26,10 @@ EXAMPLES = {
     "tum": """
     bask-data ingest tum rgbd_dataset_freiburg1_desk data/demo --scene desk --intrinsics freiburg1
     """,
+    "scannet": """
+    bask-data ingest scannet scans/scene0000_00/exported data/rooms --scene office
+    bask-data ingest scannet scans/scene0000_00/scene0000_00.sens data/rooms --scene office --frames ::10
+    """,
     "apc": """
     bask-data ingest apc datasets/apc_shelf data/demo --scene shelf
     """,

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from bask_data.formats.options.apc import ApcOptions
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.options.frames import FramesOptions
+from bask_data.formats.options.scannet import ScannetOptions
 from bask_data.formats.options.tum import TumOptions
 
 if TYPE_CHECKING:
@@ -67,5 +68,11 @@ FORMATS = (
         "frames", "A folder of colour, depth and pose files by pattern: 7-Scenes, 3DMatch, own dumps.", FramesOptions
     ),
     Format("tum", "A TUM RGB-D sequence: rgb.txt, depth.txt and groundtruth.txt with timestamps.", TumOptions),
+    Format(
+        "scannet",
+        "A ScanNet scan: what SensReader exports (color, depth, pose, intrinsic), or the .sens file.",
+        ScannetOptions,
+        "The exported folder, the scan's folder, or its .sens file.",
+    ),
     Format("apc", "A MIT-Princeton APC scene: bit-rotated depth, poses, labels where there are any.", ApcOptions),
 )

@@ -68,7 +68,7 @@ def parse_intrinsics(folder: Folder, text: str) -> tuple[Float[ndarray, "3 3"], 
         )
     words = text.split(",")
     if len(words) == 4:
-        return _intrinsics_matrix(folder.path, numbers(Path("--intrinsics"), text)), ()
+        return intrinsics_matrix(folder.path, numbers(Path("--intrinsics"), text)), ()
     path = Path(text)
     if not path.is_file():
         if len(words) > 1 and not folder.has(text):
@@ -76,10 +76,18 @@ def parse_intrinsics(folder: Folder, text: str) -> tuple[Float[ndarray, "3 3"], 
             raise UsageError("--intrinsics", expected="4 numbers fx,fy,cx,cy", got=str(len(words)), fix=fix)
         path = folder.member(text, "--intrinsics")
     values = [value for line in read_lines(path) for value in numbers(path, line)]
-    return _intrinsics_matrix(path, values), (path,)
+    return intrinsics_matrix(path, values), (path,)
 
 
-def _intrinsics_matrix(where: Path, values: list[float]) -> Float[ndarray, "3 3"]:
+def intrinsics_matrix(
+    where: Path | str, values: list[float], instead: str = ", or pass --intrinsics fx,fy,cx,cy"
+) -> Float[ndarray, "3 3"]:
+    """K from 4 numbers fx fy cx cy, or from the 9 or 16 of a matrix row by row, pixels; `BadData` for anything else.
+
+    Args:
+        where: place for messages.
+        instead: a way to do without the file, which the fix offers.
+    """
     array = np.array(values)
     if len(values) == 4:
         fx, fy, cx, cy = values
@@ -93,7 +101,7 @@ def _intrinsics_matrix(where: Path, values: list[float]) -> Float[ndarray, "3 3"
             "intrinsics",
             expected="4 numbers fx fy cx cy, or a 3x3 or 4x4 matrix",
             got=f"{len(values)} numbers",
-            fix="correct the file, or pass --intrinsics fx,fy,cx,cy.",
+            fix=f"correct the file{instead}.",
         )
     pinhole = np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0 and K[1, 0] == 0 and (K[2] == [0, 0, 1]).all()
     if not pinhole:
@@ -102,12 +110,12 @@ def _intrinsics_matrix(where: Path, values: list[float]) -> Float[ndarray, "3 3"
             "intrinsics",
             expected="a pinhole matrix: fx, fy > 0, zero below the diagonal, last row 0 0 1",
             got=K.tolist(),
-            fix=_fix_of_intrinsics(K),
+            fix=_fix_of_intrinsics(K, instead),
         )
     return K
 
 
-def _fix_of_intrinsics(K: Float[ndarray, "3 3"]) -> str:
+def _fix_of_intrinsics(K: Float[ndarray, "3 3"], instead: str) -> str:
     """What to do about a matrix that is no pinhole matrix: signs of focal lengths say which way the axes point."""
     if K[0, 0] < 0 and K[1, 1] < 0:
         # RLBench and CoppeliaSim: OpenCV's axes turned by 180 degrees about the viewing direction.
@@ -117,4 +125,4 @@ def _fix_of_intrinsics(K: Float[ndarray, "3 3"]) -> str:
         )
     if K[0, 0] < 0 < K[1, 1]:
         return "these are OpenGL axes: make fx positive and pass --axes opengl."
-    return "check the file, or pass --intrinsics fx,fy,cx,cy."
+    return f"check the file{instead}."
