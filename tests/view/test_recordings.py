@@ -596,6 +596,25 @@ def test_odd_names_are_names(tmp_path):
     assert saved.all("/demo-a/world/keypoints", "Points3D:labels")[0] == ["a/b <i>", "ü\u202e ${x}"]
 
 
+def test_intrinsics_that_change_are_shown_with_their_frames(filled, tmp_path):
+    dataset = Dataset.create(tmp_path / "d")
+    source = Scan(filled.path(Scan, "scan-a")).cameras[0]
+    Ks = source.Ks[:3].copy()
+    Ks[:, 0, 2] += [0.0, 2.0, -3.0]
+    publish_recording(
+        dataset,
+        "phone",
+        rgb=[source.rgb(i) for i in range(3)],
+        depth=[source.depth(i) for i in range(3)],
+        K=Ks,
+        world_from_cameras=source.world_from_cameras[:3],
+    )
+    _, saved = save(dataset, tmp_path, "phone")
+    for i_frame, K in enumerate(Ks):
+        shown = saved.array("/phone/world/cameras/wrist", "Pinhole:image_from_camera", i_frame)[0]
+        np.testing.assert_allclose(shown.reshape(3, 3, order="F")[:2, 2], K[:2, 2] + 0.5, rtol=1e-6)
+
+
 def _break_masks(dataset: Dataset) -> None:
     def write(out: Path) -> None:
         with VisibleMasks.writer(out, 1) as writer:

@@ -26,6 +26,13 @@ def seen(cameras):
     return frame_pairs.seen(points, normals, np.tile(K, (len(cameras), 1, 1)), cameras, 120, 160), points
 
 
+def test_a_frame_sees_with_its_own_intrinsics():
+    camera, (points, normals) = scenes.look_at((0.0, 0.0, 0.5)), ball()
+    away = K + np.array([[0, 0, 400.0], [0, 0, 0], [0, 0, 0]])
+    first, second = frame_pairs.seen(points, normals, np.stack([K, away]), np.stack([camera, camera]), 120, 160)
+    assert first.any() and not second.any()
+
+
 def test_a_camera_sees_the_half_of_a_ball_that_faces_it():
     [shown], points = seen(scenes.look_at((0.0, 0.0, 0.5))[None])
     assert shown[points[:, 2] > 0.03].all()
