@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float, Float32, Int, UInt32
 from numpy import ndarray
 
 from bask_data.core.compiled import compiled
-from bask_data.core.geometry import pixel_grid, unproject
 
 
 class Hits(NamedTuple):
@@ -64,8 +63,12 @@ def ray_directions(K: Float[ndarray, "3 3"], height: int, width: int) -> Float32
 
     Open3D's own pinhole rays go through pixel corners; that half pixel costs masks 4 % IoU.
     """
-    grid = pixel_grid(height, width)
-    return unproject(grid, np.ones((height, width)), K).astype(np.float32)
+    # `unproject` of the pixel grid, to the last bit, in less than half its time: they may be of one frame only.
+    y = (np.arange(height)[:, None] - K[1, 2]) / K[1, 1]
+    directions = np.ones((height, width, 3), np.float32)
+    directions[..., 0] = (np.arange(width) - K[0, 2] - K[0, 1] * y) / K[0, 0]
+    directions[..., 1] = y
+    return directions
 
 
 class CameraDirections:
