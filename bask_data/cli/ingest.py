@@ -33,6 +33,9 @@ EXAMPLES = {
     "apc": """
     bask-data ingest apc datasets/apc_shelf data/demo --scene shelf
     """,
+    "rlbench": """
+    bask-data ingest rlbench rlbench/open_drawer/variation0 data/drawer --scene open --as demonstration --episode 3
+    """,
     "sim": """
     bask-data ingest sim data/demo --task lid
     bask-data ingest sim data/demo --task phone --scans 10 --demonstrations 20 --clutter 4

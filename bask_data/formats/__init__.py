@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from bask_data.formats.options.apc import ApcOptions
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.options.frames import FramesOptions
+from bask_data.formats.options.rlbench import RlbenchOptions
 from bask_data.formats.options.scannet import ScannetOptions
 from bask_data.formats.options.tum import TumOptions
 
@@ -75,4 +76,10 @@ FORMATS = (
         "The exported folder, the scan's folder, or its .sens file.",
     ),
     Format("apc", "A MIT-Princeton APC scene: bit-rotated depth, poses, labels where there are any.", ApcOptions),
+    Format(
+        "rlbench",
+        "Demonstrations saved by RLBench: low_dim_obs.pkl, read without running it, and images.",
+        RlbenchOptions,
+        "The folder of an episode, a variation or a task.",
+    ),
 )

@@ -59,7 +59,7 @@ class _DataType:
 
     @property
     def dtype(self) -> np.dtype:
-        return np.dtype(self.code).newbyteorder(self.order)  # type: ignore[call-overload]
+        return np.dtype(self.order.replace("|", "=") + self.code)
 
 
 @dataclass

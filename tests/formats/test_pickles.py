@@ -93,7 +93,7 @@ def test_nothing_is_run(tmp_path: Path, protocol: int) -> None:
     for value in (
         Runs(os.system, f"touch {ran}"),
         Runs(eval, f"open({str(ran)!r}, 'w')"),
-        Runs(getattr, os, "system"),
+        Runs(getattr, Path, "touch"),
         [1, {"deep": (Runs(Path.touch, ran),)}],
         np.array([Runs(os.system, f"touch {ran}")], dtype=object),
     ):
@@ -135,8 +135,8 @@ def test_small_files_do_not_take_much_memory_or_time(tmp_path: Path, monkeypatch
     (tmp_path / "a.pkl").write_bytes(b"\x80\x04Nr\xff\xff\xff\x7f.")  # LONG_BINPUT, a memo of 2^31 entries
     assert read_pickle(tmp_path / "a.pkl") is None
     # Each tuple holds the one before it twice; as a key it would be hashed 2^60 times.
-    bomb = b"\x80\x04)" + b"\x94h\x00\x86".join([b""]) + b"".join(b"q\x00h\x00\x86" for _ in range(60))
-    refused(tmp_path, b"\x80\x04}" + bomb[2:] + b"Ns.", "a key of type tuple")
+    nested = b")" + b"q\x00h\x00\x86" * 60
+    refused(tmp_path, b"\x80\x04}" + nested + b"Ns.", "a key of type tuple")
     deep = 100_000
     assert deep > sys.getrecursionlimit()
     (tmp_path / "a.pkl").write_bytes(b"\x80\x04)" + b"\x85" * deep + b".")
