@@ -42,6 +42,9 @@ _PLAIN = {
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 """Pattern of a camera's name, which becomes the name of a folder."""
 
+NAMES = r"^[A-Za-z0-9][A-Za-z0-9_-]*(,[A-Za-z0-9][A-Za-z0-9_-]*)*$"
+"""Pattern of cameras' names, separated by commas."""
+
 SIZE = r"^(\d+x\d+)?$"
 """Pattern of an image size in pixels; may be empty."""
 
@@ -56,6 +59,7 @@ SHA256 = "^[0-9a-f]{64}$"
 
 PATTERNS = {
     NAME: "letters, digits, '_' and '-', beginning with a letter or digit",
+    NAMES: "names separated by commas, of letters, digits, '_' and '-', for instance wrist,overhead",
     SIZE: "WIDTHxHEIGHT in pixels, for instance 640x480",
     WHOLE_NUMBERS: "whole numbers separated by commas, for instance 65535",
     FRAMES: "FIRST:END:STEP, for instance 10:500:2",

@@ -78,13 +78,15 @@ PANELS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "Speed": ("every", "scale"),
     },
     "frames": {
-        EVERYDAY: ("camera", "color", "depth", "pose", "intrinsics", "fps", "frames"),
+        EVERYDAY: ("camera", "color", "depth", "cloud", "pose", "intrinsics", "fps", "frames", "robot"),
         "Conventions of the files": (
             "depth_scale",
             "invalid_depth",
             "intrinsics_size",
-            "timestamps",
+            "pose_by",
+            "column_major",
         ),
+        "Times": ("timestamps", "time_unit", "max_pose_gap"),
     },
     "sim": {
         EVERYDAY: ("seed", "cameras", "frames", "height", "width"),
@@ -96,6 +98,7 @@ PANELS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
 
 SHARED: Mapping[str, tuple[str, ...]] = {
     "Frames": ("skip_bad", "follow_links", "labels", "local_origin"),
+    "Times": ("time_unit", "max_pose_gap"),
     "Conventions of the poses": ("pose_is", "axes", "pose_unit", "quat", "gripper_from_camera"),
     "Depth and lens": ("confidence", "align", "depth_intrinsics", "color_from_depth", "distortion"),
 }

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import glob
-import json
 import re
 import stat
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from bask_data.errors import BadData, UsageError
 
@@ -99,29 +97,25 @@ class Folder:
             )
         return {name: files[name] for name in sorted(files, key=natural)}
 
-    def files_in(self, relative: str, endings: tuple[str, ...], what: str) -> dict[str, Path]:
-        """Files whose names have one of the endings, by what is before it, in natural order. Hidden files are ignored.
+    def files_in(self, relative: str, suffixes: tuple[str, ...], what: str) -> dict[str, Path]:
+        """Files with one of the suffixes in the folder at `relative`, by their names without it, in natural order.
 
-        Args:
-            relative: the folder they are in.
-            endings: in lower case: `.png`, `-color.jpg`.
+        Hidden files are ignored.
 
         Raises:
             BadData: there are none, or there are two of the same name.
         """
         files: dict[str, Path] = {}
         for path in sorted((self.path / relative).glob("*")):
-            ending = next((ending for ending in endings if path.name.lower().endswith(ending)), None)
-            if ending is None or path.name.startswith("."):
+            if path.suffix.lower() not in suffixes or path.name.startswith("."):
                 continue
-            name = path.name[: -len(ending)]
-            if name in files:
-                got = f"{files[name].name} and {path.name}"
+            if path.stem in files:
+                got = f"{files[path.stem].name} and {path.name}"
                 fix = "remove the one that is not meant."
                 raise BadData(self.path / relative, what, expected="one file for each frame", got=got, fix=fix)
-            files[name] = self.member(path.relative_to(self.path).as_posix(), what)
+            files[path.stem] = self.member(path.relative_to(self.path).as_posix(), what)
         if not files:
-            expected = f"files {' or '.join(f'*{ending}' for ending in endings)}"
+            expected = f"files {' or '.join(suffixes)}"
             raise BadData(self.path / relative, what, expected=expected, got="none", fix="check SOURCE.")
         return {name: files[name] for name in sorted(files, key=natural)}
 
@@ -195,8 +189,20 @@ def read_bytes(path: Path, limit: int = MAX_IMAGE_BYTES) -> bytes:
     return path.read_bytes()
 
 
+def read_head(path: Path, n_bytes: int) -> bytes:
+    """The first bytes of a file, as many as there are; `BadData` for an empty file."""
+    with path.open("rb") as file:
+        head = file.read(n_bytes)
+    return head or read_bytes(path)
+
+
 def read_lines(path: Path) -> list[str]:
     """Lines of a text file without comments and blank lines; `BadData` for a binary file."""
+    return [line for _, line in numbered_lines(path)]
+
+
+def numbered_lines(path: Path) -> list[tuple[int, str]]:
+    """As `read_lines`, each line with its number in the file, from 1."""
     data = read_bytes(path, MAX_TEXT_BYTES)
     try:
         text = data.decode("utf-8-sig")
@@ -204,23 +210,37 @@ def read_lines(path: Path) -> list[str]:
         text = "\0"
     if "\0" in text:
         raise BadData(path, "content", expected="text", got="a binary file", fix="check the option that names it.")
-    lines = (line.split("#", 1)[0].strip() for line in text.splitlines())
-    return [line for line in lines if line]
-
-
-def read_json(path: Path) -> Any:
-    """The document in a JSON file; `BadData` for a file that is not JSON."""
-    try:
-        return json.loads(read_bytes(path, MAX_TEXT_BYTES))
-    except (ValueError, RecursionError) as error:
-        fix = "copy it again from its source."
-        raise BadData(path, "content", expected="JSON", got=str(error), fix=fix) from None
+    lines = ((i, line.split("#", 1)[0].strip()) for i, line in enumerate(text.splitlines(), 1))
+    return [(i, line) for i, line in lines if line]
 
 
 def numbers(path: Path, line: str) -> list[float]:
-    """Numbers in a line, separated by spaces or commas; `BadData` for anything else."""
+    """Numbers in a line, separated by spaces, commas or semicolons, in brackets or not; `BadData` for anything else."""
+    words = _BRACKETS.sub(" ", line).split()
+    _refuse_decimal_commas(path, line, words)
     try:
-        return [float(word) for word in line.replace(",", " ").split()]
+        return [float(word) for text in words for word in text.split(",") if word]
     except ValueError:
         fix = "separate numbers by spaces or commas, and begin remarks with #."
         raise BadData(path, "content", expected="numbers", got=repr(line[:80]), fix=fix) from None
+
+
+_BRACKETS = re.compile(r"[\[\](){};]")
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+_NO_COMMA = re.compile(r"[^,.]+")
+
+
+def _refuse_decimal_commas(path: Path, line: str, words: list[str]) -> None:
+    """Refuse `0,5 1,25`: separated by spaces already, so that commas in between can be nothing else."""
+    with_comma = [word for word in words if "," in word]
+    if len(words) < 2 or not with_comma:
+        return
+    if all(_DECIMAL_COMMA.fullmatch(word) or _NO_COMMA.fullmatch(word) for word in words):
+        files = path.parent / f"*{path.suffix}" if path.is_file() else "FILE"
+        raise BadData(
+            path,
+            "content",
+            expected="numbers with decimal points",
+            got=f"decimal commas: {line[:80]!r}",
+            fix=f"write points for the commas, for instance by: sed -i 's/,/./g' {files}",
+        )

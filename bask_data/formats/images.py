@@ -17,11 +17,15 @@ from jaxtyping import UInt8, UInt16
 from numpy import ndarray
 
 from bask_data.errors import BadData
+from bask_data.formats import tiff
 from bask_data.formats.files import read_bytes
 
 MAX_PIXELS = 100_000_000
 """Largest image that is decoded, by its header: 100 megapixels. A small file may claim any size, and decoding would
 allocate memory for it."""
+
+MAX_POINTER_BYTES = 1000
+"""Longest text that stands for a file, bytes: Git LFS's and git-annex's have at most some hundred."""
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
@@ -36,10 +40,11 @@ class ImageHeader:
     width: int
     bits: int
     channels: int
+    is_float: bool = False
 
 
 def image_header(path: Path | str, data: bytes | None = None) -> ImageHeader:
-    """Header of a complete PNG, JPEG, PGM or PPM file.
+    """Header of a complete PNG, JPEG, TIFF, WebP, PGM or PPM file.
 
     Args:
         data: content of the file; read from `path` if None.
@@ -54,9 +59,26 @@ def image_header(path: Path | str, data: bytes | None = None) -> ImageHeader:
         header = _jpeg_header(path, data)
     elif data[:2] in (b"P5", b"P6"):
         header = _pnm_header(path, data)
+    elif data[:4] in tiff.SIGNATURES:
+        found = tiff.tiff_header(path, data)
+        header = ImageHeader(found.height, found.width, found.bits, found.channels, found.is_float)
+    elif data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+        header = _webp_header(path, data)
+    elif len(data) < MAX_POINTER_BYTES and (data[:1] in b"/." or b"git-lfs" in data or b"annex" in data):
+        raise BadData(
+            path,
+            "image",
+            expected="a picture",
+            got=f"a link to one, stored as text: {data[:80].decode('utf-8', 'replace')!r}",
+            fix="fetch what it stands for (`git lfs pull`, `git annex get`), or copy the recording with its links.",
+        )
     else:
         raise BadData(
-            path, "image", expected="a PNG, JPEG, PGM or PPM file", got=f"bytes {data[:8]!r}", fix="convert it to PNG."
+            path,
+            "image",
+            expected="a PNG, JPEG, TIFF, WebP, PGM or PPM file",
+            got=f"bytes {data[:8]!r}",
+            fix="convert it to PNG; depth in floating point to 16-bit units, for instance millimetres.",
         )
     if not 0 < header.height * header.width <= MAX_PIXELS:
         raise BadData(
@@ -74,7 +96,7 @@ def decode_color(path: Path | str, data: bytes) -> UInt8[ndarray, "h w 3"]:
     """As `read_color`, from the content of a file, or from a part of it; `path` is for messages."""
     header = image_header(path, data)
     check_color(path, header)
-    image = _decode(path, data, header, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = decode(path, data, header, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     return np.ascontiguousarray(image[..., ::-1])
 
 
@@ -83,7 +105,7 @@ def read_depth(path: Path) -> UInt16[ndarray, "h w"]:
     data = read_bytes(path)
     header = image_header(path, data)
     check_depth(path, header)
-    return _decode(path, data, header, cv2.IMREAD_UNCHANGED)
+    return decode(path, data, header, cv2.IMREAD_UNCHANGED)
 
 
 def read_labels(path: Path) -> UInt8[ndarray, "h w"]:
@@ -91,7 +113,7 @@ def read_labels(path: Path) -> UInt8[ndarray, "h w"]:
     data = read_bytes(path)
     header = image_header(path, data)
     check_labels(path, header)
-    return _decode(path, data, header, cv2.IMREAD_UNCHANGED)
+    return decode(path, data, header, cv2.IMREAD_UNCHANGED)
 
 
 def check_color(path: Path | str, header: ImageHeader) -> None:
@@ -108,12 +130,12 @@ def check_color(path: Path | str, header: ImageHeader) -> None:
 
 def check_depth(path: Path | str, header: ImageHeader) -> None:
     """Refuse anything but one channel of 16 bits; `BadData`."""
-    if (header.bits, header.channels) != (16, 1):
+    if (header.bits, header.channels, header.is_float) != (16, 1, False):
         raise BadData(
             path,
             "depth",
             expected="one channel of 16 bits",
-            got=f"{header.channels} of {header.bits}",
+            got=f"{header.channels} of {header.bits}{', floating point' if header.is_float else ''}",
             fix="check --depth, or export raw 16-bit depth: 8-bit and coloured depth images are for display only.",
         )
 
@@ -124,7 +146,8 @@ def check_labels(path: Path | str, header: ImageHeader) -> None:
         raise BadData(path, "labels", expected="one channel of 8 bits", got=f"{header.channels} of {header.bits}")
 
 
-def _decode(path: Path | str, data: bytes, header: ImageHeader, flags: int) -> ndarray:
+def decode(path: Path | str, data: bytes, header: ImageHeader, flags: int) -> ndarray:
+    """The image in a file's bytes, whose header was checked; `BadData` if it does not decode, or not to that size."""
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
@@ -184,6 +207,23 @@ def _jpeg_header(path: Path | str, data: bytes) -> ImageHeader:
     if header is None or data.find(b"\xff\xd9", position) < 0:
         raise _truncated(path, "a JPEG with a frame header and an end marker")
     return header
+
+
+def _webp_header(path: Path | str, data: bytes) -> ImageHeader:
+    """Size from the first chunk: of the canvas (VP8X), of a lossless image (VP8L) or of a lossy one (VP8)."""
+    if len(data) < max(30, 8 + int.from_bytes(data[4:8], "little")):
+        raise _truncated(path, "a WebP of the stated length")
+    kind = data[12:16]
+    if kind == b"VP8X":
+        width, height = (int.from_bytes(data[at : at + 3], "little") + 1 for at in (24, 27))
+    elif kind == b"VP8L":
+        packed = int.from_bytes(data[21:25], "little")
+        width, height = (packed & 0x3FFF) + 1, (packed >> 14 & 0x3FFF) + 1
+    elif kind == b"VP8 ":
+        width, height = (int.from_bytes(data[at : at + 2], "little") & 0x3FFF for at in (26, 28))
+    else:
+        raise _truncated(path, "a WebP image")
+    return ImageHeader(height, width, 8, 3)
 
 
 def _pnm_header(path: Path | str, data: bytes) -> ImageHeader:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 from pathlib import Path
-from typing import Literal
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
+from scipy.spatial.transform import Rotation
 
 from bask_data.core.geometry import RIGID_TOLERANCE, invert_rigid, nearest_rigid, rigid_fault
 from bask_data.errors import BadData
+from bask_data.formats.arrays import read_npy
 from bask_data.formats.files import Folder, numbers, read_lines
-from bask_data.formats.options.common import PoseOptions
+from bask_data.formats.options.common import Axes, PoseIs, PoseOptions
 
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """Camera axes: y up and z backward become y down and z forward."""
@@ -28,14 +32,19 @@ rotation is then less than 0.1 degrees away."""
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Units of translations."""
 
+UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
 
-def parse_transform(where: Path | str, values: list[float], quat: str = "xyzw") -> Float[ndarray, "4 4"]:
+
+def parse_transform(
+    where: Path | str, values: list[float], quat: str = "xyzw", column_major: bool = False
+) -> Float[ndarray, "4 4"]:
     """The transform in a pose file, as written: a 4x4 or 3x4 matrix, or tx ty tz and a quaternion.
 
     It may be not finite, where tracking was lost, and rounded; `rigid` and `prepare` check it.
 
     Args:
         quat: order of the quaternion, `xyzw` or `wxyz`.
+        column_major: whether a matrix is written column by column.
 
     Raises:
         BadData: another count of numbers, or a quaternion whose length is not 1.
@@ -51,7 +60,9 @@ def parse_transform(where: Path | str, values: list[float], quat: str = "xyzw") 
             fix="check the file, and the option that names it.",
         )
     matrix = np.eye(4)
-    matrix[: len(values) // 4] = np.array(values).reshape(-1, 4)
+    n_rows = len(values) // 4
+    written = np.array(values, dtype=np.float64)
+    matrix[:n_rows] = written.reshape(4, n_rows).T if column_major else written.reshape(n_rows, 4)
     return matrix
 
 
@@ -62,14 +73,19 @@ def parse_pose(where: Path | str, values: list[float], quat: str = "xyzw") -> Fl
 
 def read_pose(path: Path, quat: str = "xyzw") -> Float[ndarray, "4 4"]:
     """The one rigid transform in a text file; `BadData` if there is none."""
-    return parse_pose(path, [value for line in read_lines(path) for value in numbers(path, line)], quat)
+    return parse_pose(path, pose_values(path), quat)
 
 
-def read_transforms(paths: list[Path], quat: str = "xyzw") -> Float[ndarray, "t 4 4"]:
+def read_transforms(paths: list[Path], quat: str = "xyzw", column_major: bool = False) -> Float[ndarray, "t 4 4"]:
     """One transform per file, as written."""
-    return np.stack(
-        [parse_transform(path, [v for line in read_lines(path) for v in numbers(path, line)], quat) for path in paths]
-    )
+    return np.stack([parse_transform(path, pose_values(path), quat, column_major) for path in paths])
+
+
+def pose_values(path: Path) -> list[float]:
+    """The numbers in a pose file: text, or an array of NumPy."""
+    if path.suffix.lower() == ".npy":
+        return [float(value) for value in read_npy(path, 16).ravel()]
+    return [value for line in read_lines(path) for value in numbers(path, line)]
 
 
 def rigid(where: Path | str, matrix: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"]:
@@ -112,23 +128,80 @@ def to_world_from_camera(
     return _in_opencv(world_from_any @ gripper_from_camera, options.axes), world_from_any, (path,)
 
 
+def refuse_transposed(poses: Float[ndarray, "t 4 4"], places: Sequence[str], column_major: bool) -> None:
+    """Refuse matrices that are rigid transforms only if they are written the other way round; `BadData`."""
+    for pose, place in zip(poses, places, strict=True):
+        if rigid_fault(pose, ROUNDED_TOLERANCE) and any(
+            not rigid_fault(other, ROUNDED_TOLERANCE) for other in _written_otherwise(pose)
+        ):
+            order, other = ("row by row", "column by column")[:: -1 if column_major else 1]
+            raise BadData(
+                place,
+                "pose",
+                expected=f"a rigid transform written {other if column_major else order}",
+                got="one that is transposed" + ("" if column_major else ": column-major, its translation last"),
+                fix="leave out --column-major." if column_major else "pass --column-major.",
+            )
+
+
+def _written_otherwise(pose: Float[ndarray, "4 4"]) -> Iterator[Float[ndarray, "4 4"]]:
+    """The matrix if its 16 numbers, or its first 12, are written in the other order."""
+    yield pose.T
+    twelve = np.eye(4)
+    twelve[:3] = pose[:3].reshape(4, 3).T
+    yield twelve
+    twelve[:3] = pose[:3].T.reshape(3, 4)
+    yield twelve
+
+
+FAR_APART = 5.0
+"""Metres between cameras above which poses may be in a smaller unit: a scan of a table spans one or two. It only
+decides whether other units are compared. Chosen, sensitivity not measured."""
+
+
 def other_readings(
-    poses: Float[ndarray, "t 4 4"], options: PoseOptions, *, folder: Folder | None = None
+    poses: Float[ndarray, "m 4 4"],
+    options: PoseOptions,
+    *,
+    folder: Folder | None = None,
+    quaternions: bool = False,
+    at: Callable[[Float[ndarray, "m 4 4"], PoseOptions], Float[ndarray, "t 4 4"]] = lambda poses, options: poses,
 ) -> dict[str, Float[ndarray, "t 4 4"]]:
-    """The poses under the other directions and axes, by the options for them."""
-    directions: tuple[Literal["world_from_camera", "camera_from_world"], ...] = (
-        "world_from_camera",
-        "camera_from_world",
-    )
-    axes: tuple[Literal["opencv", "opengl"], ...] = ("opencv", "opengl")
-    return {
-        f"--pose-is {pose_is} --axes {axis}": to_world_from_camera(
-            poses, options.model_copy(update={"pose_is": pose_is, "axes": axis}), folder=folder
-        )[0]
-        for pose_is in directions
-        for axis in axes
-        if (pose_is, axis) != (options.pose_is, options.axes)
-    }
+    """The poses under the other directions, axes, orders of quaternions and units, by the options for them.
+
+    Units are read otherwise only where cameras would be far apart.
+
+    Args:
+        quaternions: whether the poses are written as quaternions.
+        at: poses as written at the frames' times, from those in the file, under some options.
+    """
+    reordered = {options.quat: poses}
+    if quaternions:
+        reordered["xyzw" if options.quat == "wxyz" else "wxyz"] = _reordered(poses, options.quat)
+    centres = poses[np.isfinite(poses).all(axis=(1, 2)), :3, 3] * METRES_PER_UNIT[options.pose_unit]
+    is_far = len(centres) > 0 and float(np.ptp(centres, axis=0).max()) > FAR_APART
+    units = [options.pose_unit, *(unit for unit in METRES_PER_UNIT if is_far and unit != options.pose_unit)]
+    readings = {}
+    for quat, unit, pose_is, axes in product(reordered, units, get_args(PoseIs), get_args(Axes)):
+        read = {"pose_is": pose_is, "axes": axes, "quat": quat, "pose_unit": unit}
+        changed = {name for name, value in read.items() if value != getattr(options, name)}
+        if not changed or {"quat", "pose_unit"} <= changed:
+            continue
+        if changed & {"pose_is", "axes"}:
+            changed |= {"pose_is", "axes"}
+        name = " ".join(f"--{key.replace('_', '-')} {read[key]}" for key in read if key in changed)
+        under = options.model_copy(update=read)
+        readings[name] = to_world_from_camera(at(reordered[quat], under), under, folder=folder)[0]
+    return readings
+
+
+def _reordered(poses: Float[ndarray, "t 4 4"], quat: str) -> Float[ndarray, "t 4 4"]:
+    """Poses read from quaternions in one order, as the other order would have read them. Their sign plays no part."""
+    found = poses.copy()
+    known = np.isfinite(poses).all(axis=(1, 2))
+    quat_xyzw = Rotation.from_matrix(poses[known, :3, :3]).as_quat()
+    found[known, :3, :3] = Rotation.from_quat(np.roll(quat_xyzw, -1 if quat == "xyzw" else 1, axis=1)).as_matrix()
+    return found
 
 
 def _in_opencv(world_from_camera: Float[ndarray, "t 4 4"], axes: str) -> Float[ndarray, "t 4 4"]:

@@ -90,7 +90,7 @@ def test_labels_in_colour_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("data", [b"GIF89a......", b"\x80\x04\x95pickle", b"#!/bin/sh\n"])
 def test_a_file_that_is_not_an_image_is_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "c.png").write_bytes(data)
-    with pytest.raises(BadData, match="image: expected a PNG, JPEG, PGM or PPM file"):
+    with pytest.raises(BadData, match="image: expected a PNG, JPEG, TIFF, WebP, PGM or PPM file"):
         images.read_color(tmp_path / "c.png")
 
 

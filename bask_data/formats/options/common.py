@@ -15,6 +15,10 @@ Text = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(val
 """A text that may be a number in a configuration file: `invalid_depth: 65535`."""
 
 
+PoseIs = Literal["world_from_camera", "camera_from_world"]
+Axes = Literal["opencv", "opengl"]
+
+
 class SourceOptions(Params):
     """What can be asked of any recording; `prepare` does it, readers need not."""
 
@@ -63,10 +67,10 @@ class SourceOptions(Params):
 class PoseOptions(SourceOptions):
     """How poses are written, for formats that leave it open."""
 
-    pose_is: Literal["world_from_camera", "camera_from_world"] = Field(
+    pose_is: PoseIs = Field(
         "world_from_camera", description="Direction of the poses: camera to world (usual), or world to camera."
     )
-    axes: Literal["opencv", "opengl"] = Field(
+    axes: Axes = Field(
         "opencv", description="Camera axes of the poses: opencv (y down, z forward) or opengl (y up, z backward)."
     )
     pose_unit: Literal["m", "cm", "mm"] = Field("m", description="Unit of the poses' translations.")
@@ -99,3 +103,17 @@ class TimeOptions(SourceOptions):
     """Times that come from the number of frames."""
 
     fps: FiniteFloat = Field(30.0, gt=0, description="Frames per second: time is frame number / fps.")
+
+
+class StampOptions(SourceOptions):
+    """Times that the files state, of frames and of poses."""
+
+    time_unit: Literal["auto", "s", "ms", "us", "ns"] = Field(
+        "auto", description="Unit of time stamps; auto recognises and states it."
+    )
+    max_pose_gap: FiniteFloat = Field(
+        0.1,
+        ge=0,
+        description="Poses at other times than the frames' are interpolated between two that are at most this many "
+        "seconds apart.",
+    )
