@@ -36,6 +36,9 @@ EXAMPLES = {
     "rlbench": """
     bask-data ingest rlbench rlbench/open_drawer/variation0 data/drawer --scene open --as demonstration --episode 3
     """,
+    "maniskill": """
+    bask-data ingest maniskill trajectory.rgbd.pd_ee_delta_pose.physx_cpu.h5 data/cubes --scene pick --as demonstration
+    """,
     "sim": """
     bask-data ingest sim data/demo --task lid
     bask-data ingest sim data/demo --task phone --scans 10 --demonstrations 20 --clutter 4

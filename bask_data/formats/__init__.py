@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from bask_data.formats.options.apc import ApcOptions
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.options.frames import FramesOptions
+from bask_data.formats.options.maniskill import ManiskillOptions
 from bask_data.formats.options.rlbench import RlbenchOptions
 from bask_data.formats.options.scannet import ScannetOptions
 from bask_data.formats.options.tum import TumOptions
@@ -81,5 +82,11 @@ FORMATS = (
         "Demonstrations saved by RLBench: low_dim_obs.pkl, read without running it, and images.",
         RlbenchOptions,
         "The folder of an episode, a variation or a task.",
+    ),
+    Format(
+        "maniskill",
+        "Trajectories of ManiSkill 3 and 2 with images: an HDF5 file, and its JSON file if there is one.",
+        ManiskillOptions,
+        "The .h5 file, replayed with observations: trajectory.rgbd.*.h5.",
     ),
 )
