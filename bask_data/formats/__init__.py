@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bask_data.formats.options.apc import ApcOptions
+from bask_data.formats.options.bop import BopOptions
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.options.frames import FramesOptions
 from bask_data.formats.options.maniskill import ManiskillOptions
@@ -75,6 +76,12 @@ FORMATS = (
         "A ScanNet scan: what SensReader exports (color, depth, pose, intrinsic), or the .sens file.",
         ScannetOptions,
         "The exported folder, the scan's folder, or its .sens file.",
+    ),
+    Format(
+        "bop",
+        "A scene of a BOP data set (scene_camera.json), or of YCB-Video (.mat files).",
+        BopOptions,
+        "The scene's folder, or with --episode the folder of a split.",
     ),
     Format("apc", "A MIT-Princeton APC scene: bit-rotated depth, poses, labels where there are any.", ApcOptions),
     Format(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import glob
+import json
 import re
 import stat
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from bask_data.errors import BadData, UsageError
 
@@ -97,25 +99,29 @@ class Folder:
             )
         return {name: files[name] for name in sorted(files, key=natural)}
 
-    def files_in(self, relative: str, suffixes: tuple[str, ...], what: str) -> dict[str, Path]:
-        """Files with one of the suffixes in the folder at `relative`, by their names without it, in natural order.
+    def files_in(self, relative: str, endings: tuple[str, ...], what: str) -> dict[str, Path]:
+        """Files whose names have one of the endings, by what is before it, in natural order. Hidden files are ignored.
 
-        Hidden files are ignored.
+        Args:
+            relative: the folder they are in.
+            endings: in lower case: `.png`, `-color.jpg`.
 
         Raises:
             BadData: there are none, or there are two of the same name.
         """
         files: dict[str, Path] = {}
         for path in sorted((self.path / relative).glob("*")):
-            if path.suffix.lower() not in suffixes or path.name.startswith("."):
+            ending = next((ending for ending in endings if path.name.lower().endswith(ending)), None)
+            if ending is None or path.name.startswith("."):
                 continue
-            if path.stem in files:
-                got = f"{files[path.stem].name} and {path.name}"
+            name = path.name[: -len(ending)]
+            if name in files:
+                got = f"{files[name].name} and {path.name}"
                 fix = "remove the one that is not meant."
                 raise BadData(self.path / relative, what, expected="one file for each frame", got=got, fix=fix)
-            files[path.stem] = self.member(path.relative_to(self.path).as_posix(), what)
+            files[name] = self.member(path.relative_to(self.path).as_posix(), what)
         if not files:
-            expected = f"files {' or '.join(suffixes)}"
+            expected = f"files {' or '.join(f'*{ending}' for ending in endings)}"
             raise BadData(self.path / relative, what, expected=expected, got="none", fix="check SOURCE.")
         return {name: files[name] for name in sorted(files, key=natural)}
 
@@ -212,6 +218,15 @@ def numbered_lines(path: Path) -> list[tuple[int, str]]:
         raise BadData(path, "content", expected="text", got="a binary file", fix="check the option that names it.")
     lines = ((i, line.split("#", 1)[0].strip()) for i, line in enumerate(text.splitlines(), 1))
     return [(i, line) for i, line in lines if line]
+
+
+def read_json(path: Path) -> Any:
+    """The document in a JSON file; `BadData` for a file that is not JSON."""
+    try:
+        return json.loads(read_bytes(path, MAX_TEXT_BYTES))
+    except (ValueError, RecursionError) as error:
+        fix = "copy it again from its source."
+        raise BadData(path, "content", expected="JSON", got=str(error), fix=fix) from None
 
 
 def numbers(path: Path, line: str) -> list[float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,14 +10,11 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from bask_data.errors import BadData
-from bask_data.formats.files import Folder, listed, natural, read_bytes
+from bask_data.formats.files import Folder, listed, natural, read_json
 from bask_data.formats.images import image_header, read_labels
 
 LABEL_FOLDERS = ("instance-filt", "instance")
 """Folders of instance labels, the best first, as ScanNet's archives of 2D annotations unpack."""
-
-LARGEST_NAMES = 64 * 2**20
-"""Largest file with the names of instances that is read, bytes: ten times those of the largest scans."""
 
 
 @dataclass(frozen=True)
@@ -71,10 +67,11 @@ def _instance_names(folder: Folder) -> tuple[dict[int, str], list[Path]]:
     if not found:
         return {}, []
     path = folder.member(found[-1], "names of instances")
+    document = read_json(path)
     try:
-        groups = json.loads(read_bytes(path, LARGEST_NAMES))["segGroups"]
+        groups = document["segGroups"]
         names = {int(group["objectId"]) + 1: str(group["label"]) for group in groups}
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise BadData(path, "segGroups", expected="objectId and label in each", got=repr(error)) from error
     counts: dict[str, int] = {}
     for label, name in sorted(names.items()):

@@ -39,7 +39,7 @@ def is_current(root: Path, makes: type[Recording], item: str, key: str, fix: str
             "",
             expected=f"no recording of that name, or one of {makes.kind} v{makes.schema_version}",
             got=f"{makes.kind} v{manifest.schema_version}, made by an older version of bask-data",
-            fix="keep it, as it opens as it is; or --force reads the source again, and what was made from it is stale.",
+            fix="keep it, as it opens as it is; or --force reads the source again: what was made of it is stale then.",
         )
     if manifest.key != key:
         raise WouldOverwrite(
