@@ -102,7 +102,11 @@ def decode_color(path: Path | str, data: bytes) -> UInt8[ndarray, "h w 3"]:
 
 def read_depth(path: Path) -> UInt16[ndarray, "h w"]:
     """A raw 16-bit depth image."""
-    data = read_bytes(path)
+    return decode_depth(path, read_bytes(path))
+
+
+def decode_depth(path: Path | str, data: bytes) -> UInt16[ndarray, "h w"]:
+    """As `read_depth`, from the content of a file; `path` is for messages."""
     header = image_header(path, data)
     check_depth(path, header)
     return decode(path, data, header, cv2.IMREAD_UNCHANGED)
@@ -110,7 +114,11 @@ def read_depth(path: Path) -> UInt16[ndarray, "h w"]:
 
 def read_labels(path: Path) -> UInt8[ndarray, "h w"]:
     """An 8-bit label image."""
-    data = read_bytes(path)
+    return decode_labels(path, read_bytes(path))
+
+
+def decode_labels(path: Path | str, data: bytes) -> UInt8[ndarray, "h w"]:
+    """As `read_labels`, from the content of a file; `path` is for messages."""
     header = image_header(path, data)
     check_labels(path, header)
     return decode(path, data, header, cv2.IMREAD_UNCHANGED)
