@@ -43,6 +43,14 @@ EXAMPLES = {
     "maniskill": """
     bask-data ingest maniskill trajectory.rgbd.pd_ee_delta_pose.physx_cpu.h5 data/cubes --scene pick --as demonstration
     """,
+    "nerfstudio": """
+    bask-data ingest nerfstudio scans/mug data/demo --scene mug
+    bask-data ingest nerfstudio captures/desk data/demo --scene desk --depth-scale 0.0001 --skip-bad
+    """,
+    "polycam": """
+    bask-data ingest polycam captures/shelf.zip data/demo --scene shelf
+    bask-data ingest polycam captures/shelf data/demo --scene shelf --confidence 54
+    """,
     "sim": """
     bask-data ingest sim data/demo --task lid
     bask-data ingest sim data/demo --task phone --scans 10 --demonstrations 20 --clutter 4

@@ -23,6 +23,8 @@ from bask_data.formats.options.bop import BopOptions
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.options.frames import FramesOptions
 from bask_data.formats.options.maniskill import ManiskillOptions
+from bask_data.formats.options.nerfstudio import NerfstudioOptions
+from bask_data.formats.options.polycam import PolycamOptions
 from bask_data.formats.options.rlbench import RlbenchOptions
 from bask_data.formats.options.scannet import ScannetOptions
 from bask_data.formats.options.tum import TumOptions
@@ -82,6 +84,17 @@ FORMATS = (
         "A scene of a BOP data set (scene_camera.json), or of YCB-Video (.mat files).",
         BopOptions,
         "The scene's folder, or with --episode the folder of a split.",
+    ),
+    Format(
+        "nerfstudio",
+        "transforms.json of nerfstudio or Instant-NGP, with depth: lens, poses and images.",
+        NerfstudioOptions,
+    ),
+    Format(
+        "polycam",
+        "Raw data of a Polycam LiDAR capture: keyframes with images, depth, confidence, cameras.",
+        PolycamOptions,
+        "The exported folder, which holds keyframes, or the zip file.",
     ),
     Format("apc", "A MIT-Princeton APC scene: bit-rotated depth, poses, labels where there are any.", ApcOptions),
     Format(
