@@ -12,6 +12,7 @@ from bask_data.errors import BadData, UsageError
 from bask_data.kinds import CameraFrames, Scan
 from bask_data.kinds.arrays import FrameWriter
 from bask_data.kinds.cameras import LensModel
+from bask_data.notebook.recordings import RecordedFrames
 from bask_data.validate import validate
 from tests.datasets import add_scan, publish_recording
 
@@ -72,6 +73,7 @@ def test_one_matrix_of_frames_that_have_several_is_refused(dataset: Dataset) -> 
     with pytest.raises(UsageError, match=r"K: expected the same pinhole matrix in all frames, got one that changes"):
         _ = frames.K
     np.testing.assert_array_equal(frames.Ks, KS)
+    assert frames.origin == (0.0, 0.0, 0.0)
     np.testing.assert_array_equal(bask.open(dataset.root).scans["fixed"].K, KS[0])
 
 
@@ -104,6 +106,7 @@ def test_frames_that_turn_out_bad_are_left_out(tmp_path: Path, bad: set[int]) ->
     np.testing.assert_array_equal(camera.time, np.array(kept) / 30)
     np.testing.assert_array_equal(camera.Ks, Ks[kept])
     assert scan.metadata.left_out == {f"wrist/{i}": "no depth" for i in sorted(bad)}
+    assert RecordedFrames(scan, lambda camera, i: np.zeros((4, 6), np.uint8)).origin == (4e5, 5e6, 2.0)
     assert scan.metadata.origin == (4e5, 5e6, 2.0) and scan.metadata.lenses["wrist"].parameters == [0.5]
     shards = {file.parents[1].name for file in (tmp_path / "wrist" / "depth" / "c").rglob("0") if file.is_file()}
     assert shards == {str(k) for k in range(-(-len(kept) // 64))}
