@@ -10,7 +10,7 @@ from numpy import ndarray
 from scipy.sparse import csr_array
 
 from bask_data.core.compiled import compiled
-from bask_data.core.depth import DEPTH_SLACK
+from bask_data.core.depth import DEPTH_SLACK, NOISE_SIGMAS, filled, noise_share
 
 BLOCKED_PX = 1.5
 """Pixels of the depth camera beyond the last one on a near surface, in which nothing behind it is taken for visible:
@@ -41,19 +41,22 @@ def registered_depth(
     """The depth image that the colour camera would measure, of all that the depth camera sees.
 
     Neighbouring depths on one surface are joined by triangles, which are drawn into a z-buffer: no holes, whatever the
-    sizes of the images. Depths without such neighbours are drawn as the square of their pixel. Nothing spans a jump in
-    depth; the edge is somewhere in the pixel between, so the colour image has no depth there. This and what only the
-    colour camera sees stays 0.
+    sizes of the images. So are depths beside single missing pixels inside a surface, which would otherwise become gaps
+    of several pixels that nothing closes later. Depths without such neighbours are drawn as the square of their pixel.
+    Nothing spans a jump in depth; the edge is somewhere in the pixel between, so the colour image has no depth there.
+    This and what only the colour camera sees stays 0.
 
     Args:
         depth: z-depth of the depth camera, metres; 0, negative and not finite mean no measurement.
         color_size: (height, width), pixels.
-        slack: (a, b): neighbouring pixels on one surface differ by at most a + b z metres.
+        slack: (a, b): neighbouring pixels on one surface differ by at most a + b z metres; more on a noisy sensor.
 
     Returns:
         z-depth of the colour camera, metres; 0 = none.
     """
     depth = np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
+    slack = (slack[0], max(slack[1], NOISE_SIGMAS * noise_share(depth)))
+    depth = filled(depth, slack)
     # (u z', v z', z') = turn @ (x z, y z, z) + shift for pixel (x, y) at depth z: both cameras in one step.
     turn = color_K @ color_from_depth[:3, :3] @ np.linalg.inv(depth_K)
     shift = color_K @ color_from_depth[:3, 3]
