@@ -30,6 +30,10 @@ EXAMPLES = {
     bask-data ingest scannet scans/scene0000_00/exported data/rooms --scene office
     bask-data ingest scannet scans/scene0000_00/scene0000_00.sens data/rooms --scene office --frames ::10
     """,
+    "arkitscenes": """
+    bask-data ingest arkitscenes raw/Training/47333462 data/rooms --scene bedroom --frames ::6
+    bask-data ingest arkitscenes raw/Training/47333462 data/rooms --scene bedroom --color vga_wide --confidence 2
+    """,
     "bop": """
     bask-data ingest bop ycbv/test/000048 data/ycbv --scene scene48
     bask-data ingest bop YCB_Video_Dataset/data data/ycbv --episode 0000 --scene scene0

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bask_data.formats.options.apc import ApcOptions
+from bask_data.formats.options.arkitscenes import ArkitscenesOptions
 from bask_data.formats.options.bop import BopOptions
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.options.frames import FramesOptions
@@ -78,6 +79,12 @@ FORMATS = (
         "A ScanNet scan: what SensReader exports (color, depth, pose, intrinsic), or the .sens file.",
         ScannetOptions,
         "The exported folder, the scan's folder, or its .sens file.",
+    ),
+    Format(
+        "arkitscenes",
+        "A video of ARKitScenes: lowres_wide, lowres_depth, intrinsics and trajectory.",
+        ArkitscenesOptions,
+        "The video's folder.",
     ),
     Format(
         "bop",

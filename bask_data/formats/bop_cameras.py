@@ -13,8 +13,9 @@ from numpy import ndarray
 from bask_data.core.geometry import invert_rigid
 from bask_data.errors import BadData, UsageError
 from bask_data.formats.bop_truth import Annotation
-from bask_data.formats.files import listed, read_json
+from bask_data.formats.files import listed
 from bask_data.formats.intrinsics import intrinsics_matrix
+from bask_data.formats.json_values import read_json
 
 
 @dataclass(frozen=True)
@@ -29,8 +30,6 @@ class StatedCamera:
 def read_views(path: Path) -> dict[int, StatedCamera]:
     """What is stated of each image, by id."""
     document = read_json(path)
-    if not isinstance(document, dict) or not document:
-        raise BadData(path, "content", expected="cameras by image id", got=type(document).__name__)
     return {_id(path, key): _view(f"{path}: image {key}", entry) for key, entry in document.items()}
 
 

@@ -12,8 +12,9 @@ from numpy import ndarray
 
 from bask_data.core.geometry import rigid_fault
 from bask_data.errors import BadData
-from bask_data.formats.files import Folder, listed, read_json
+from bask_data.formats.files import Folder, listed
 from bask_data.formats.images import read_labels
+from bask_data.formats.json_values import read_json
 from bask_data.formats.object_poses import static_poses
 from bask_data.formats.poses import ROUNDED_TOLERANCE
 from bask_data.formats.recording import ObjectPose

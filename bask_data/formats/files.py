@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import glob
-import json
 import re
 import stat
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from bask_data.errors import BadData, UsageError
 
@@ -218,15 +216,6 @@ def numbered_lines(path: Path) -> list[tuple[int, str]]:
         raise BadData(path, "content", expected="text", got="a binary file", fix="check the option that names it.")
     lines = ((i, line.split("#", 1)[0].strip()) for i, line in enumerate(text.splitlines(), 1))
     return [(i, line) for i, line in lines if line]
-
-
-def read_json(path: Path) -> Any:
-    """The document in a JSON file; `BadData` for a file that is not JSON."""
-    try:
-        return json.loads(read_bytes(path, MAX_TEXT_BYTES))
-    except (ValueError, RecursionError) as error:
-        fix = "copy it again from its source."
-        raise BadData(path, "content", expected="JSON", got=str(error), fix=fix) from None
 
 
 def numbers(path: Path, line: str) -> list[float]:

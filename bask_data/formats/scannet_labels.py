@@ -10,8 +10,9 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from bask_data.errors import BadData
-from bask_data.formats.files import Folder, listed, natural, read_json
+from bask_data.formats.files import Folder, listed, natural
 from bask_data.formats.images import image_header, read_labels
+from bask_data.formats.json_values import read_json
 
 LABEL_FOLDERS = ("instance-filt", "instance")
 """Folders of instance labels, the best first, as ScanNet's archives of 2D annotations unpack."""

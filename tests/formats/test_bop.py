@@ -212,14 +212,15 @@ def test_files_with_another_content_are_refused(tmp_path: Path) -> None:
     (tmp_path / "scene_gt.json").write_text('{"0": [{"obj_id": 1}]}')
     with pytest.raises(BadData, match="expected obj_id, cam_R_m2c and cam_t_m2c"):
         read(tmp_path)
+    (tmp_path / "scene_gt.json").unlink()
     for text, message in (
-        ("[]", "cameras by image id"),
+        ("[]", "expected a JSON object"),
+        ("{}", "expected cameras of the images beside it, got none of 4"),
         ('{"a": {"cam_K": [1, 1, 1, 1]}}', "image id: expected a number"),
     ):
         (tmp_path / "scene_camera.json").write_text(text)
         with pytest.raises(BadData, match=message):
             read(tmp_path)
-    (tmp_path / "scene_gt.json").unlink()
     (tmp_path / "scene_camera.json").write_text('{"1": {"cam_K": [1, 1, 1, 1]}}')
     with pytest.raises(BadData, match="expected cameras of the images beside it, got none of 4"):
         read(tmp_path)

@@ -54,15 +54,6 @@ def test_files_of_a_folder_are_found_in_natural_order_without_hidden_ones(tmp_pa
         files.Folder(tmp_path).files_in("depth", (".png", ".pgm"), "depth")
 
 
-def test_json_that_is_none_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "a.json").write_text('{"a": 1}')
-    assert files.read_json(tmp_path / "a.json") == {"a": 1}
-    for text in ("{", "[" * 100_000):
-        (tmp_path / "a.json").write_text(text)
-        with pytest.raises(BadData, match=r"a\.json: content: expected JSON"):
-            files.read_json(tmp_path / "a.json")
-
-
 def test_a_pipe_is_refused_instead_of_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(BadData, match="expected a regular file, got something else"):

@@ -169,7 +169,7 @@ def test_instance_labels_are_truth_and_named_by_the_annotation(tmp_path: Path) -
     (tmp_path / "instance-filt/100.png").unlink()
     lacking = read(tmp_path)
     assert not lacking.has_labels and "frames 100 lack them" in lacking.assumptions["labels"]
-    (tmp_path / "scene.aggregation.json").write_text("[]")
+    (tmp_path / "scene.aggregation.json").write_text("{}")
     for number in NUMBERS:
         write_image(tmp_path / f"instance-filt/{number}.png", labels)
     with pytest.raises(BadData, match="segGroups: expected objectId and label in each"):
