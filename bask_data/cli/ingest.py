@@ -55,6 +55,9 @@ EXAMPLES = {
     bask-data ingest polycam captures/shelf.zip data/demo --scene shelf
     bask-data ingest polycam captures/shelf data/demo --scene shelf --confidence 54
     """,
+    "stray": """
+    bask-data ingest stray recordings/71de12f9 data/demo --scene desk --confidence 1 --frames ::6
+    """,
     "sim": """
     bask-data ingest sim data/demo --task lid
     bask-data ingest sim data/demo --task phone --scans 10 --demonstrations 20 --clutter 4

@@ -28,6 +28,7 @@ from bask_data.formats.options.nerfstudio import NerfstudioOptions
 from bask_data.formats.options.polycam import PolycamOptions
 from bask_data.formats.options.rlbench import RlbenchOptions
 from bask_data.formats.options.scannet import ScannetOptions
+from bask_data.formats.options.stray import StrayOptions
 from bask_data.formats.options.tum import TumOptions
 
 if TYPE_CHECKING:
@@ -102,6 +103,11 @@ FORMATS = (
         "Raw data of a Polycam LiDAR capture: keyframes with images, depth, confidence, cameras.",
         PolycamOptions,
         "The exported folder, which holds keyframes, or the zip file.",
+    ),
+    Format(
+        "stray",
+        "A recording of the iPhone app Stray Scanner: rgb.mp4, depth, confidence, odometry.csv.",
+        StrayOptions,
     ),
     Format("apc", "A MIT-Princeton APC scene: bit-rotated depth, poses, labels where there are any.", ApcOptions),
     Format(

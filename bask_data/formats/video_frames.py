@@ -50,17 +50,19 @@ class VideoFrames:
         rgb = video.color(7)
     """
 
-    def __init__(self, path: Path, *, user: str) -> None:
+    def __init__(self, path: Path, *, user: str, whole: bool = False) -> None:
         """Open the file and read its header; nothing is decoded.
 
         Args:
             user: the command or format that needs the video, for messages.
+            whole: whether to count frames that the file has and tells players not to show (an edit list), too.
 
         Raises:
             BadData: not a video in one of `CONTAINERS`, no video stream, or more than `MAX_PIXELS` by its header.
             MissingDependency: PyAV is not installed.
         """
         self.path = path
+        self._options = {"format_whitelist": CONTAINERS, **({"ignore_editlist": "1"} if whole else {})}
         self._av = imported("av", "PyAV", user=user, extra="formats")
         self._frame: tuple[int, Any] | None = None
         self._container: Any = None
@@ -156,7 +158,7 @@ class VideoFrames:
     def _opened(self) -> Any:
         try:
             # An absolute path cannot be taken for a protocol (`concat:`).
-            container = self._av.open(str(self.path.absolute()), options={"format_whitelist": CONTAINERS})
+            container = self._av.open(str(self.path.absolute()), options=self._options)
         except (self._av.FFmpegError, OSError) as error:
             raise self._unreadable("a video in mp4, mov, mkv or webm", error) from error
         if not container.streams.video:

@@ -163,3 +163,12 @@ def test_a_frame_beyond_the_end_is_refused(tmp_path: Path) -> None:
     write_steps(tmp_path / "a.mp4", 3)
     with pytest.raises(BadData, match="frame 3: expected a frame below 3, got none"):
         video(tmp_path / "a.mp4").color(3)
+
+
+def test_frames_that_players_do_not_show_are_counted_on_demand(tmp_path: Path) -> None:
+    write_steps(tmp_path / "a.mp4", 6, first=-1, options={"bf": "0"})
+    shown, whole = video(tmp_path / "a.mp4"), VideoFrames(tmp_path / "a.mp4", user="stray", whole=True)
+    assert (shown.n_frames, whole.n_frames) == (5, 6)
+    for i in (4, 0, 2):
+        assert abs(shown.color(i).mean() - STEP * (i + 1)) < STEP / 2
+        assert abs(whole.color(i).mean() - STEP * i) < STEP / 2

@@ -22,6 +22,7 @@ def write_video(
     rotation: float = 0.0,
     standard: str = "ITU709",
     full_range: bool = False,
+    first: int = 0,
 ) -> None:
     """Write RGB images (h, w, 3) uint8 as a video.
 
@@ -29,10 +30,11 @@ def write_video(
         rotation: degrees by which players are told to turn the picture.
         standard: colour standard, `ITU601` or `ITU709`, stated in the file.
         full_range: whether brightness takes all values, stated in the file.
+        first: number of the first frame; players do not show those before 0.
     """
     range_name = "JPEG" if full_range else "MPEG"
     path.parent.mkdir(parents=True, exist_ok=True)
-    with av.open(str(path), "w") as container:
+    with av.open(str(path), "w", options={"avoid_negative_ts": "disabled"}) as container:
         stream = container.add_stream(codec, rate=rate, options=options or {"crf": "8", "g": "4", "bf": "2"})
         for i, image in enumerate(images):
             if i == 0:
@@ -44,7 +46,7 @@ def write_video(
                     stream.set_display_rotation(rotation)
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
             frame = frame.reformat(format=pixels, dst_colorspace=standard, dst_color_range=range_name)
-            frame.pts, frame.time_base = i, Fraction(1, rate)
+            frame.pts, frame.time_base = first + i, Fraction(1, rate)
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
 
