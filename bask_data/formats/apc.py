@@ -47,17 +47,14 @@ def read(source: Path, options: ApcOptions) -> SourceRecording:
     if labels:
         groups["labels"] = folder.matching(labels, "labels")
     names, missing = paired(source, groups)
-    names = [name for name in names if name not in missing]
-    if missing and not options.skip_bad:
-        raise next(iter(missing.values()))
     rig = (
         _rig_of_info(folder.member(INFO_FILE, "calibration"), folder, names)
         if info.exists()
-        else _rig_of_files(folder, [groups["pose"][name] for name in names])
+        else _rig_of_files(folder, [groups["pose"].get(name) for name in names])
     )
     world_from_cameras, world = _in_world(source, rig, options.world)
     color, depth, label = (
-        tuple(groups[kind][name] for name in names if kind in groups) for kind in ("color", "depth", "labels")
+        tuple(groups[kind].get(name) for name in names if kind in groups) for kind in ("color", "depth", "labels")
     )
     images = ImageFiles(color, depth, label, rotated_depth=True)
     poses, pose_files = _object_poses(folder, rig, options.world)
@@ -72,6 +69,7 @@ def read(source: Path, options: ApcOptions) -> SourceRecording:
         depth=images.read_depth,
         depth_scale=DEPTH_SCALE,
         labels=images.read_labels if label else None,
+        faults={names.index(name): fault for name, fault in missing.items()},
         pose_places=tuple(f"{rig.files[0].name if info.exists() else 'pose'} of frame {name}" for name in names),
     )
     return SourceRecording(
@@ -86,7 +84,7 @@ def read(source: Path, options: ApcOptions) -> SourceRecording:
             "time": f"frame number / {options.fps:g} per second: the files state none",
             "labels": f"{labels}, taken as truth for reports only" if labels else "none found",
         },
-        files=(*color, *depth, *label, *rig.files, *pose_files),
+        files=(*images.files, *rig.files, *pose_files),
         object_poses=poses,
     )
 
@@ -112,9 +110,10 @@ def _label_pattern(source: Path) -> str:
     return next((pattern for pattern in ("segm/frame-*.segm.png", "frame-*.segm.png") if any(source.glob(pattern))), "")
 
 
-def _rig_of_files(folder: Folder, pose_files: Sequence[Path]) -> _Rig:
+def _rig_of_files(folder: Folder, pose_files: Sequence[Path | None]) -> _Rig:
     K, files = parse_intrinsics(folder, str(folder.member(INTRINSICS_FILE, "intrinsics")))
-    return _Rig(K, read_transforms(list(pose_files)), None, (*files, *pose_files))
+    known = [path for path in pose_files if path is not None]
+    return _Rig(K, read_transforms(pose_files), None, (*files, *known))
 
 
 def _rig_of_info(path: Path, folder: Folder, names: Sequence[str]) -> _Rig:
@@ -197,5 +196,6 @@ def _in_world(source: Path, rig: _Rig, world: str) -> tuple[Float[ndarray, "t 4 
 
 def _label_names(images: ImageFiles) -> dict[int, str]:
     """Names of the labels that occur."""
-    present = sorted({int(value) for i in range(len(images.label)) for value in np.unique(images.read_labels(i))} - {0})
+    labelled = [i for i, path in enumerate(images.label) if path is not None]
+    present = sorted({int(value) for i in labelled for value in np.unique(images.read_labels(i))} - {0})
     return {label: OBJECT_NAMES.get(label, f"label {label}") for label in present}

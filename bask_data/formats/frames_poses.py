@@ -25,6 +25,11 @@ At = Callable[[Float[ndarray, "m 4 4"], PoseOptions], Float[ndarray, "t 4 4"]]
 """From the poses in the files, read under some options, to those of the frames; both as written."""
 
 
+ROUNDED_STAMP = 0.5e-3 + 1e-6
+"""Seconds by which a stamp with three decimals may differ from the one it stands for: tools that write poses round the
+images' times. A camera at 1 m/s moves 0.5 mm in it."""
+
+
 @dataclass(frozen=True)
 class FramePoses:
     """Poses as written, and how frames get theirs.
@@ -105,17 +110,24 @@ def poses_at_times(
     """
     clock = seconds(trajectory.stamps, trajectory.path, trajectory.lines, unit=unit)  # type: ignore[arg-type]
     known = np.flatnonzero(np.isfinite(trajectory.poses).all(axis=(1, 2)))
+    if not len(known):
+        fix = "check --pose: tracking was lost in every frame."
+        raise BadData(trajectory.path, "pose", expected="finite numbers in some line", got="none", fix=fix)
     for k in known:
         rigid(trajectory.place(int(k)), trajectory.poses[k])
+
+    pose_time, still = clock.time[known], np.broadcast_to(np.eye(4), (len(known), 4, 4))
+    is_between = interpolated(time, pose_time, still, max_gap)[1]
+    near = np.where(is_between, time, _rounded(time, pose_time))
+    is_known = interpolated(near, pose_time, still, max_gap)[1]
 
     def at(written: Float[ndarray, "m 4 4"], options: PoseOptions) -> Float[ndarray, "t 4 4"]:
         # What moves evenly is the camera in the world, not the world in the camera.
         inverse = options.pose_is == "camera_from_world"
         moving = invert_rigid(written[known]) if inverse else written[known]
-        poses, _ = interpolated(time, clock.time[known], moving, max_gap)
+        poses, _ = interpolated(near, pose_time, moving, max_gap)
         return invert_rigid(poses) if inverse else poses
 
-    is_known = interpolated(time, clock.time[known], np.broadcast_to(np.eye(4), (len(known), 4, 4)), max_gap)[1]
     if not is_known.any():
         raise BadData(
             trajectory.path,
@@ -124,7 +136,7 @@ def poses_at_times(
             got=f"{clock.time[0]:.6f} to {clock.time[-1]:.6f} s, {_median_gap(clock.time)}",
             fix="check that the clocks agree, or pass a larger --max-pose-gap.",
         )
-    n_exact = int(np.isin(time, clock.time[known]).sum())
+    n_exact = int(np.isin(near, pose_time).sum())
     faults = {
         int(i): BadData(
             f"{trajectory.path}: frame {names[i]}",
@@ -145,6 +157,14 @@ def poses_at_times(
         f"have a pose of their own; pose times: {clock.statement}",
         faults,
     )
+
+
+def _rounded(time: Float[ndarray, " t"], pose_time: Float[ndarray, " n"]) -> Float[ndarray, " t"]:
+    """The frames' times, those of poses where they differ by rounding to three decimals only."""
+    after = np.clip(np.searchsorted(pose_time, time), 0, len(pose_time) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(time - pose_time[before] < pose_time[after] - time, pose_time[before], pose_time[after])
+    return np.where(np.abs(nearest - time) <= ROUNDED_STAMP, nearest, time)
 
 
 def _median_gap(time: Float[ndarray, " n"]) -> str:

@@ -76,9 +76,10 @@ def read_pose(path: Path, quat: str = "xyzw") -> Float[ndarray, "4 4"]:
     return parse_pose(path, pose_values(path), quat)
 
 
-def read_transforms(paths: list[Path], quat: str = "xyzw", column_major: bool = False) -> Float[ndarray, "t 4 4"]:
-    """One transform per file, as written."""
-    return np.stack([parse_transform(path, pose_values(path), quat, column_major) for path in paths])
+def read_transforms(paths: Sequence[Path | None]) -> Float[ndarray, "t 4 4"]:
+    """One transform per file, as written; NaN where there is no file."""
+    unknown = np.full((4, 4), np.nan)
+    return np.stack([unknown if path is None else parse_transform(path, pose_values(path)) for path in paths])
 
 
 def pose_values(path: Path) -> list[float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,16 @@ from numpy import ndarray
 
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData
-from bask_data.formats.files import Folder, numbers, read_lines, source_folder
+from bask_data.formats.clock import Clock, seconds
+from bask_data.formats.files import Folder, listed, numbered_lines, source_folder
+from bask_data.formats.frames_poses import poses_at_times
 from bask_data.formats.image_files import ImageFiles
-from bask_data.formats.intrinsics import parse_intrinsics
+from bask_data.formats.images import image_header
+from bask_data.formats.intrinsics import read_calibration
 from bask_data.formats.options.tum import TumOptions
-from bask_data.formats.poses import other_readings, parse_transform, to_world_from_camera
+from bask_data.formats.poses import other_readings, to_world_from_camera
 from bask_data.formats.recording import RobotRecording, SourceCamera, SourceRecording
+from bask_data.formats.trajectory_files import PoseLayout, Trajectory, read_trajectory, stamps_of
 
 INTRINSICS = {
     "freiburg1": "517.3,516.5,318.6,255.3",
@@ -24,56 +29,84 @@ INTRINSICS = {
 }
 """The benchmark's published intrinsics fx, fy, cx, cy, pixels, of the colour cameras of its three rigs."""
 
+TRAJECTORIES = ("CameraTrajectory.txt", "KeyFrameTrajectory.txt", "trajectory.txt", "poses.txt", "groundtruth.csv")
+"""Names of what SLAM systems write, which an error offers; the first two are ORB-SLAM's."""
+
 
 def read(source: Path, options: TumOptions) -> SourceRecording:
-    """The frames in `source` for which colour, depth and pose are close enough in time."""
+    """The colour images in `source`, with the depth nearest in time and the pose at their time; without either, they
+    are left out."""
     folder = source_folder(source, options.follow_links)
-    color_time, color_files = _file_list(folder, "rgb.txt")
-    depth_time, depth_files = _file_list(folder, "depth.txt")
-    pose_time, poses = _pose_list(folder, "groundtruth.txt", options.quat)
-    depth_of = mutual_nearest(color_time, depth_time, options.max_time_difference)
-    pose_of = nearest(color_time, pose_time, options.max_time_difference)
-    used = np.flatnonzero((depth_of >= 0) & (pose_of >= 0))
-    if used.size == 0:
+    images = _images(folder, options)
+    trajectory = _trajectory(folder, options)
+    poses = poses_at_times(trajectory, list(images.names), images.time, options.time_unit, options.max_pose_gap)
+    without_depth = [int(i) for i in np.flatnonzero(images.depth_of < 0)]
+    faults = {**poses.faults, **{i: _no_depth(folder, images, i, options) for i in without_depth}}
+    if len(faults) == len(images.names):
         raise BadData(
             source,
             "timestamps",
-            expected=f"colour, depth and pose within {options.max_time_difference:g} s",
-            got=f"none of {len(color_time)} colour images",
-            fix="check that the clocks agree, or pass a larger --max-time-difference.",
+            expected=f"colour and depth within {options.max_time_difference:g} s, and poses around them",
+            got=f"none of {len(images.names)} colour images",
+            fix="check that the clocks agree, or pass a larger --max-time-difference or --max-pose-gap.",
         )
-    K, intrinsics_files = parse_intrinsics(folder, INTRINSICS.get(options.intrinsics, options.intrinsics))
-    color = tuple(folder.member(color_files[i], "rgb.txt") for i in used)
-    depth = tuple(folder.member(depth_files[i], "depth.txt") for i in depth_of[used])
-    images = ImageFiles(color, depth)
-    poses = poses[pose_of[used]]
-    world_from_cameras, world_from_gripper, hand_eye = to_world_from_camera(poses, options, folder=folder)
+    calibration = read_calibration(folder, INTRINSICS.get(options.intrinsics, options.intrinsics))
+    world_from_cameras, world_from_gripper, hand_eye = to_world_from_camera(
+        poses.at(poses.written, options), options, folder=folder
+    )
     camera = SourceCamera(
         name=options.camera,
-        frames=tuple(color_files[i] for i in used),
-        lens=Lens(K, images.size),
+        frames=images.names,
+        lens=Lens(calibration.K, images.files.size, calibration.distortion),
         world_from_cameras=world_from_cameras,
-        time=color_time[used],
-        color=images.read_color,
-        depth=images.read_depth,
+        time=images.time,
+        color=images.files.read_color,
+        depth=images.files.read_depth,
         depth_scale=options.depth_scale,
-        pose_places=tuple(f"{source / 'groundtruth.txt'}: time {pose_time[k]:.6f}" for k in pose_of[used]),
-        intrinsics_size=options.intrinsics_size,
-        otherwise=other_readings(poses, options, folder=folder),
+        faults=faults,
+        expected={i: "no depth" if images.depth_of[i] < 0 else "no pose" for i in faults},
+        pose_places=poses.places,
+        intrinsics_size=options.intrinsics_size or calibration.size,
+        otherwise=other_readings(poses.written, options, folder=folder, quaternions=True, at=poses.at),
     )
     return SourceRecording(
         cameras=(camera,),
         robot=None if world_from_gripper is None else RobotRecording(world_from_gripper),
         label_names={},
-        assumptions=_assumptions(options, len(color_time), used.size),
-        files=(
-            *(source / name for name in ("rgb.txt", "depth.txt", "groundtruth.txt")),
-            *intrinsics_files,
-            *hand_eye,
-            *color,
-            *depth,
-        ),
+        assumptions={
+            "pose": f"{trajectory.path.name} holds {options.pose_is} of the colour camera, quaternions are "
+            f"{' '.join(options.quat)}; {poses.statement}",
+            "camera axes": options.axes,
+            "depth": f"z-depth registered to colour, {options.depth_scale:g} m per unit, 0 = no measurement; the image "
+            f"nearest in time, at most {options.max_time_difference:g} s away",
+            "intrinsics": f"{options.intrinsics}: {calibration.statement}",
+            "time": images.clock.statement,
+        },
+        files=(*images.lists, *poses.files, *calibration.files, *hand_eye, *images.files.files),
     )
+
+
+@dataclass(frozen=True)
+class _Images:
+    """The colour images of a sequence, and the depth of each.
+
+    Args:
+        names: of the colour files, as listed.
+        clock: times of colour.
+        depth_of: index of the depth image of each; negative if there is none.
+        lists: the files that list them.
+    """
+
+    names: tuple[str, ...]
+    clock: Clock
+    depth_of: Int[ndarray, " n"]
+    files: ImageFiles
+    lists: tuple[Path, ...]
+
+    @property
+    def time(self) -> Float[ndarray, " n"]:
+        """Seconds."""
+        return self.clock.time
 
 
 def nearest(time: Float[ndarray, " n"], other: Float[ndarray, " m"], limit: float) -> Int[ndarray, " n"]:
@@ -90,47 +123,98 @@ def mutual_nearest(time: Float[ndarray, " n"], other: Float[ndarray, " m"], limi
     return np.where((forth >= 0) & (back[forth] == np.arange(len(time))), forth, -1)
 
 
-def _assumptions(options: TumOptions, n_color: int, n_used: int) -> dict[str, str]:
-    limit = f"{options.max_time_difference:g} s"
-    return {
-        "frames": f"{n_used} of {n_color} colour images have depth and pose within {limit}; the others are left out",
-        "pose": "groundtruth.txt holds world_from_camera of the colour camera, metres, OpenCV axes, x y z w; "
-        "the nearest in time, not interpolated",
-        "depth": f"z-depth registered to colour, {options.depth_scale:g} m per unit, 0 = no measurement",
-        "intrinsics": f"{options.intrinsics}, for colour and depth alike, no lens distortion",
-        "time": "timestamps of rgb.txt, seconds",
-    }
+def _images(folder: Folder, options: TumOptions) -> _Images:
+    if options.associations:
+        return _associated(folder, options)
+    (color_path, color_clock, color), (depth_path, depth_clock, depth) = (
+        _file_list(folder, name, options) for name in ("rgb.txt", "depth.txt")
+    )
+    depth_of = mutual_nearest(color_clock.time, depth_clock.time, options.max_time_difference)
+    files = ImageFiles(
+        tuple(folder.member(name, "rgb.txt") for name in color),
+        tuple(folder.member(depth[k], "depth.txt") if k >= 0 else None for k in depth_of),
+    )
+    return _Images(tuple(color), color_clock, depth_of, files, (color_path, depth_path))
 
 
-def _file_list(folder: Folder, name: str) -> tuple[Float[ndarray, " n"], list[str]]:
-    path = folder.member(name, name)
-    words = [line.split(maxsplit=1) for line in read_lines(path)]
-    if not words or any(len(line) != 2 for line in words):
-        raise BadData(path, "lines", expected="`timestamp file` in each", got=f"{len(words)} lines, some without")
-    time = np.array([numbers(path, stamp)[0] for stamp, _ in words], dtype=np.float64)
-    _check_ascending(path, time)
-    return time, [file for _, file in words]
-
-
-def _pose_list(folder: Folder, name: str, quat: str) -> tuple[Float[ndarray, " n"], Float[ndarray, "n 4 4"]]:
-    path = folder.member(name, name)
-    rows = [numbers(path, line) for line in read_lines(path)]
-    if not rows or any(len(row) != 8 for row in rows):
-        raise BadData(
-            path, "lines", expected="`timestamp tx ty tz qx qy qz qw` in each", got=f"{len(rows)} lines, some without"
-        )
-    time = np.array([row[0] for row in rows])
-    _check_ascending(path, time)
-    return time, np.stack([parse_transform(f"{path}: time {row[0]:.6f}", row[1:], quat) for row in rows])
-
-
-def _check_ascending(path: Path, time: Float[ndarray, " n"]) -> None:
-    if not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
-        bad = int(np.argmin(np.isfinite(time) & (np.diff(time, prepend=-np.inf) > 0)))
+def _associated(folder: Folder, options: TumOptions) -> _Images:
+    """Colour and depth paired by a file `time file time file`; the one of 16 bits is depth."""
+    path = folder.member(options.associations, "--associations")
+    lines = numbered_lines(path)
+    words = [line.split() for _, line in lines]
+    if not words or any(len(row) != 4 for row in words):
+        odd = next((i for (i, _), row in zip(lines, words, strict=True) if len(row) != 4), 0)
         raise BadData(
             path,
-            "timestamps",
-            expected="finite times that increase from line to line",
-            got=f"{time[bad]:g} s in data line {bad + 1}",
-            fix="sort the lines by time, and remove duplicates.",
+            "lines",
+            expected="`time file time file` in each",
+            got=f"another in line {odd}" if odd else "none",
+            fix="leave out --associations: rgb.txt and depth.txt are then joined by time.",
         )
+    depth_at = 0 if image_header(folder.member(words[0][1], path.name)).bits == 16 else 2
+    clock = _clock(path, [row[2 - depth_at] for row in words], [i for i, _ in lines], options)
+    names = tuple(row[3 - depth_at] for row in words)
+    files = ImageFiles(
+        tuple(folder.member(name, path.name) for name in names),
+        tuple(folder.member(row[1 + depth_at], path.name) for row in words),
+    )
+    return _Images(names, clock, np.arange(len(names)), files, (path,))
+
+
+def _file_list(folder: Folder, name: str, options: TumOptions) -> tuple[Path, Clock, list[str]]:
+    path = folder.member(name, name)
+    lines = numbered_lines(path)
+    words = [line.split(maxsplit=1) for _, line in lines]
+    if not words or any(len(row) != 2 for row in words):
+        odd = next((i for (i, _), row in zip(lines, words, strict=True) if len(row) != 2), 0)
+        raise BadData(
+            path,
+            "lines",
+            expected="`timestamp file` in each",
+            got=f"another in line {odd}" if odd else "none",
+            fix="correct the file; a file that lists both is read by --associations FILE.",
+        )
+    return path, _clock(path, [row[0] for row in words], [i for i, _ in lines], options), [row[1] for row in words]
+
+
+def _clock(path: Path, words: list[str], lines: list[int], options: TumOptions) -> Clock:
+    try:
+        stamps = stamps_of(words)
+    except ValueError as error:
+        raise BadData(
+            path, "lines", expected="times that are numbers", got=str(error)[:100], fix="correct the file."
+        ) from error
+    return seconds(stamps, path, lines, unit=options.time_unit)
+
+
+def _trajectory(folder: Folder, options: TumOptions) -> Trajectory:
+    if not folder.has(options.trajectory):
+        others = [name for name in TRAJECTORIES if folder.has(name)]
+        raise BadData(
+            folder.path / options.trajectory,
+            "poses",
+            expected="a file of lines `timestamp tx ty tz qx qy qz qw`",
+            got="no such path",
+            fix=f"pass --trajectory {others[0] if others else 'FILE'}.",
+        )
+    trajectory = read_trajectory(folder.member(options.trajectory, "--trajectory"), PoseLayout(options.quat))
+    if not trajectory.keys or not trajectory.quaternions:
+        raise BadData(
+            trajectory.path,
+            "lines",
+            expected="`timestamp tx ty tz qx qy qz qw` in each",
+            got="poses without times" if not trajectory.keys else "matrices",
+            fix="pass --trajectory with a file of such lines; poses without times are read by `ingest frames`.",
+        )
+    return trajectory
+
+
+def _no_depth(folder: Folder, images: _Images, i: int, options: TumOptions) -> BadData:
+    without = [images.names[k] for k in np.flatnonzero(images.depth_of < 0)]
+    return BadData(
+        folder.path,
+        images.names[i],
+        expected=f"a depth image of its own within {options.max_time_difference:g} s",
+        got=f"none, as for {listed(without)}",
+        fix="pass a larger --max-time-difference, or --skip-bad to leave such frames out.",
+    )
