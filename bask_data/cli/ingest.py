@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import shlex
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -95,7 +93,7 @@ def _add_format(format: Format) -> None:
     ]
 
     def body(source: Path, root: Path, scene: str, as_: Any, force: bool, json_: bool, **options: Any) -> None:
-        from bask_data.formats.agreement import better_options, is_doubtful
+        from bask_data.formats.verdict import is_doubtful
         from bask_data.sources.ingest import ingest
 
         values = checked_options(format.options, options, f"bask-data ingest {format.name}")
@@ -104,33 +102,15 @@ def _add_format(format: Format) -> None:
             outcomes, assumptions = ingest(
                 root, scene, format=format, source=source, options=values, kind=as_, force=force
             )
-        agreement = assumptions.get("agreement", "")
         for name, text in assumptions.items():
-            if name != "agreement" or not is_doubtful(agreement):
-                say(f"  assumed     {name}: {text}")
+            doubtful = name.endswith("agreement") and is_doubtful(text)
+            say(f"  note        {name}: {text}" if doubtful else f"  assumed     {name}: {text}")
         for outcome in outcomes:
             show_outcome(outcome)
         following = f"bask-data run {quoted(root)}"
-        if is_doubtful(agreement):
-            say(f"  note: the poses may be wrong: {agreement}")
-            if better := better_options(agreement).split():
-                words = [format.name, source, root, "--scene", scene, *(["--as", as_] if as_ != "scan" else [])]
-                following = _corrected(words, options, better)
         finish(f"ingest {format.name}", outcomes, json_, following, assumptions=assumptions)
 
     add_command(app, format.name, parameters, body, help=format.help, epilog=EXAMPLES.get(format.name))
-
-
-def _corrected(words: Sequence[object], options: Mapping[str, Any], better: Sequence[str]) -> str:
-    """The command that replaces a recording, with the options that were given and better ones instead of some."""
-    given: list[object] = []
-    for name, value in options.items():
-        flag = "--" + name.replace("_", "-")
-        if isinstance(value, bool):
-            given.append(flag if value else f"--no-{flag[2:]}")
-        elif value is not None and flag not in better:
-            given += [flag, value]
-    return shlex.join(map(str, ["bask-data", "ingest", *words, *given, *better, "--force"]))
 
 
 def _replace(help: str) -> inspect.Parameter:

@@ -97,10 +97,10 @@ PANELS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
 
 
 SHARED: Mapping[str, tuple[str, ...]] = {
-    "Frames": ("skip_bad", "follow_links", "labels", "local_origin"),
+    "Frames": ("skip_bad", "follow_links", "labels", "local_origin", "trust"),
     "Times": ("time_unit", "max_pose_gap"),
     "Conventions of the poses": ("pose_is", "axes", "pose_unit", "quat", "gripper_from_camera"),
-    "Depth and lens": ("confidence", "align", "depth_intrinsics", "color_from_depth", "distortion"),
+    "Depth and lens": ("confidence", "align", "depth_intrinsics", "color_from_depth", "depth_is", "distortion"),
 }
 """Headings of options that all or many formats have, after their own."""
 

@@ -1,99 +1,188 @@
-"""Consistency of depth and poses: depth of one frame, moved into another, must match the depth measured there.
+"""Which reading of a recording its own depth supports: poses, unit, clock, and what depth measures.
 
-Inverted poses and poses in other camera axes pass every check of single files. They are detected here by comparing
-with the other interpretations of the poses. The result is reported to the user; nothing is changed.
+Inverted poses, poses in other camera axes or units, and poses of the neighbouring frame pass every check of single
+files. Depth of one frame, warped into another, tells them apart: readings are compared pair of frames by pair of
+frames. A reading is sure only if it beats every rival, also the one that the camera did not move.
 """
 
 from __future__ import annotations
 
-import re
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from bask_data.core.geometry import in_image, invert_rigid, pixel_grid, project, transform, unproject
+from bask_data.core.geometry import invert_rigid, view_change
+from bask_data.core.warped_depth import DepthView, depth_view, evidence
 from bask_data.formats.recording import CameraRecording
+from bask_data.formats.verdict import STILL, Agreement
 
-N_PAIRS = 4
-"""Pairs of frames that are compared, spread over the recording; a wrong convention shows in every pair. Sensitivity
-not measured."""
+GAPS = (1, 2, 4, 8, 16, 32, 64)
+"""Distances between the frames of a pair: near ones overlap, far ones tell readings apart."""
 
-MIN_POINTS = 200
-"""Least number of points projected onto measured depth, over all pairs, for a meaningful share. Chosen; sensitivity not
-measured."""
+PAIRS_PER_GAP = 5
+"""Pairs per distance, spread over the recording. Sensitivity not measured."""
 
-AGREES_WITHIN = (0.005, 0.02)
-"""Metres, and share of the depth: depths count as equal within 5 mm plus 2 %, the noise and calibration error of RGB-D
-cameras. Sensitivity not measured."""
+N_WARPED = 900
+"""Points warped per pair. Sensitivity not measured."""
+
+SURE_T, SURE_GAIN = 2.5, 0.01
+"""A reading beats another if its mean evidence is larger by this gain, and by so many standard errors over pairs."""
+
+MOVED_T = 2.0
+"""A reading must beat the camera that does not move by so many standard errors over the pairs."""
+
+POOR = 0.25
+"""Mean evidence below which depth and poses do not fit under a reading. Exact synthetic data have 0.86, hand-held
+recordings 0.5 to 0.7."""
+
+LEAST_PAIRS = 4
+"""Pairs below which nothing is sure: the standard error of fewer is a guess."""
+
+REFUSED_PAIRS = 12
+"""Pairs below which a recording that nothing fits is not refused: few frames may hardly overlap."""
+
+PLAUSIBLE_SCENE = (0.05, 20.0)
+"""Median depth, metres, of scenes that another unit of depth may be suggested for."""
+
+UNITS = (10.0, 0.1, 1000.0, 0.001, 5.0, 0.2, 4.0, 0.25)
+"""Factors between units of depth that are mixed up: decimal ones, 1/5000 (TUM) and 1/4000 m against millimetres."""
 
 
-_BETTER = re.compile(r"; with (--.+) it would be \d+%")
-
-
-def agreement(camera: CameraRecording, otherwise: dict[str, Float[ndarray, "t 4 4"]]) -> str:
-    """Summary of the depth agreement between some pairs of frames.
-
-    The text is stored in the recording: rewording it changes the digests of artifacts.
+@dataclass(frozen=True)
+class _Reading:
+    """How poses and depth might be meant.
 
     Args:
-        otherwise: `world_from_cameras` under other interpretations of the same files, by the options for them.
+        options: the options for it, if there are any.
+        index: pose of each frame, among the poses.
+    """
+
+    name: str
+    poses: Float[ndarray, "t 4 4"]
+    options: str = ""
+    scale: float = 1.0
+    is_ray: bool = False
+
+
+def agreement(
+    camera: CameraRecording,
+    otherwise: dict[str, Float[ndarray, "t 4 4"]],
+    *,
+    scale_option: str = "",
+) -> Agreement:
+    """What the depth of some pairs of frames says about the given reading.
+
+    Args:
+        otherwise: `world_from_cameras` under other readings of the same files, by the options for them.
+        scale_option: the option that states the unit of depth, if the format has one: `--depth-scale`.
     """
     pairs = _pairs(camera.n_frames)
     if not pairs:
-        return "a single frame: nothing to hold the poses against"
-    depths = {i: camera.read(i)[1] * camera.depth_scale for pair in pairs for i in pair}
-    share = _share(camera, depths, pairs, camera.world_from_cameras)
-    others = {name: _share(camera, depths, pairs, poses) for name, poses in otherwise.items()}
-    text = (
-        f"{share:.0%} of the depth of a frame, moved into another, meets what was measured there ({len(pairs)} pairs)"
-    )
-    better = [name for name, other in others.items() if other > max(2 * share, 0.3)]
-    if better:
-        best = max(better, key=others.__getitem__)
-        text += f"; with {best} it would be {others[best]:.0%}: look at the options"
-    elif share < 0.3:
-        text += "; that is little: look at the poses, the intrinsics and the depth scale"
-    return text
+        return Agreement(0.0, 0, "cannot tell")
+    views = {
+        i: depth_view(camera.read_depth(i) * np.float32(camera.depth_scale), camera.Ks[i], N_WARPED)
+        for i in sorted({i for pair in pairs for i in pair})
+    }
+    given = _Reading("the given options", camera.world_from_cameras)
+    readings = [given, *_others(camera, views, otherwise, scale_option)]
+    scores = np.stack([_scores(reading, views, pairs) for reading in readings])
+    still = _scores(_Reading(STILL, np.tile(np.eye(4), (camera.n_frames, 1, 1))), views, pairs)
+    return _judged(readings, scores, still, _has_moved(camera, pairs))
 
 
-def is_doubtful(text: str) -> bool:
-    """Whether a summary by `agreement` says that poses, intrinsics or depth are probably wrong."""
-    return "; " in text
+def _others(
+    camera: CameraRecording,
+    views: dict[int, DepthView],
+    otherwise: dict[str, Float[ndarray, "t 4 4"]],
+    scale_option: str,
+) -> list[_Reading]:
+    """The readings that are held against the given one."""
+    poses = camera.world_from_cameras
+    readings = [_Reading(name, other, name) for name, other in otherwise.items()]
+    index = np.arange(camera.n_frames)
+    if camera.n_frames > 3:
+        for lag, neighbour in ((-1, "previous"), (1, "next")):
+            shifted = poses[np.clip(index + lag, 0, camera.n_frames - 1)]
+            readings.append(_Reading(f"the pose of the {neighbour} frame", shifted))
+    readings.append(_Reading("--depth-is ray (depth along the ray, not z)", poses, "--depth-is ray", is_ray=True))
+    depths = [view.z for view in views.values() if len(view.z)]
+    median = float(np.median(np.concatenate(depths))) if depths else 0.0
+    for factor in UNITS:
+        if PLAUSIBLE_SCENE[0] <= median * factor <= PLAUSIBLE_SCENE[1]:
+            option = f"{scale_option} {camera.depth_scale * factor:.6g}" if scale_option else ""
+            readings.append(_Reading(option or f"depth {factor:g} times as large", poses, option, scale=factor))
+    return readings
 
 
-def better_options(text: str) -> str:
-    """The options under which the depths agree better, from a summary by `agreement`; empty if there are none."""
-    better = _BETTER.search(text)
-    return better[1] if better else ""
+def _judged(
+    readings: list[_Reading], scores: Float[ndarray, "r p"], still: Float[ndarray, " p"], has_moved: bool
+) -> Agreement:
+    n_pairs = scores.shape[1]
+    mean = scores.mean(axis=1)
+    best = int(np.argmax(mean))
+    made = Agreement(float(mean[0]), n_pairs, "fits")
+    unbeaten = [
+        readings[i].name
+        for i in range(len(readings))
+        if i != best and not _beats(scores[best], scores[i], SURE_T, SURE_GAIN)
+    ]
+    if not _beats(scores[best], still, MOVED_T, 0.0):
+        unbeaten.append(STILL)
+    if has_moved and n_pairs >= REFUSED_PAIRS and mean[best] < POOR and STILL in unbeaten:
+        return replace(made, verdict="nothing fits")
+    if best == 0 and not unbeaten:
+        return made
+    if best != 0 and not unbeaten and mean[best] >= POOR:
+        reading = readings[best]
+        return replace(
+            made,
+            verdict="other",
+            better=reading.name,
+            better_share=float(mean[best]),
+            options=reading.options,
+        )
+    rivals = [name for name in unbeaten if name != readings[0].name]
+    if best != 0:
+        rivals = [readings[best].name, *rivals]
+    return replace(made, verdict="cannot tell", rivals=tuple(rivals))
+
+
+def _beats(winner: Float[ndarray, " p"], other: Float[ndarray, " p"], t: float, gain: float) -> bool:
+    """Whether one reading's evidence is larger than another's, by a paired t statistic over the pairs of frames."""
+    difference = winner - other
+    if len(difference) < LEAST_PAIRS or difference.mean() <= gain:
+        return False
+    error = float(difference.std(ddof=1)) / np.sqrt(len(difference))
+    return bool(difference.mean() > t * error)
+
+
+def _has_moved(camera: CameraRecording, pairs: list[tuple[int, int]]) -> bool:
+    """Whether the poses move at all between the frames of the pairs."""
+    a, b = np.array(pairs).T
+    distance, angle = view_change(camera.world_from_cameras[a], camera.world_from_cameras[b])
+    return bool((distance > 0.01).any() or (angle > np.radians(1)).any())
 
 
 def _pairs(n_frames: int) -> list[tuple[int, int]]:
-    """Pairs of frames an eighth of the recording apart: far enough to differ, close enough to overlap."""
-    if n_frames < 2:
-        return []
-    step = max(1, n_frames // 8)
-    starts = np.unique(np.linspace(0, n_frames - 1 - step, N_PAIRS).astype(int))
-    return [(int(start), int(start) + step) for start in starts]
+    """Pairs of frames at doubling distances, spread over the recording."""
+    pairs = []
+    for gap in GAPS:
+        if gap < n_frames:
+            n_starts = min(PAIRS_PER_GAP, n_frames - gap)
+            pairs += [
+                (int(i), int(i) + gap) for i in np.unique(np.linspace(0, n_frames - 1 - gap, n_starts).astype(int))
+            ]
+    return pairs
 
 
-def _share(
-    camera: CameraRecording,
-    depths: dict[int, ndarray],
-    pairs: list[tuple[int, int]],
-    world_from_cameras: Float[ndarray, "t 4 4"],
-) -> float:
-    """Share of points projected onto measured depth that agree with it; 0 if frames hardly overlap."""
-    n_close = n_measured = 0
-    for a, b in pairs:
-        seen = depths[a] > 0
-        points_a = unproject(pixel_grid(camera.height, camera.width)[seen], depths[a][seen], camera.Ks[a])
-        b_from_a = invert_rigid(world_from_cameras[b]) @ world_from_cameras[a]
-        uv, z = project(transform(b_from_a, points_a), camera.Ks[b])
-        inside = in_image(uv, camera.height, camera.width)
-        u, v = np.rint(uv[inside]).astype(int).T
-        measured = depths[b][v, u]
-        is_close = np.abs(z[inside] - measured) < AGREES_WITHIN[0] + AGREES_WITHIN[1] * measured
-        n_measured += int((measured > 0).sum())
-        n_close += int(is_close[measured > 0].sum())
-    return n_close / n_measured if n_measured > MIN_POINTS else 0.0
+def _scores(reading: _Reading, views: dict[int, DepthView], pairs: list[tuple[int, int]]) -> Float[ndarray, " p"]:
+    """Evidence of each pair for a reading."""
+    poses = reading.poses
+    return np.array(
+        [
+            evidence(views[a], views[b], invert_rigid(poses[b]) @ poses[a], reading.scale, reading.is_ray)
+            for a, b in pairs
+        ]
+    )

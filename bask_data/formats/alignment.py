@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8, UInt16
 from numpy import ndarray
 
+from bask_data.core.geometry import pixel_grid, unproject
 from bask_data.core.lens import Distortion, Lens, undistorted, undistortion
 from bask_data.core.registration import color_at_depth_size, labels_at_depth_size, registered_depth
 from bask_data.errors import BadData, UsageError
@@ -22,7 +23,7 @@ from bask_data.formats.files import Folder
 from bask_data.formats.intrinsics import check_intrinsics, parse_intrinsics
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.poses import read_pose
-from bask_data.formats.recording import SourceCamera
+from bask_data.formats.recording import Depth, SourceCamera
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ class AlignedFrames:
         kept: indices of the frames among the source's.
         to: whose pixels are kept, `color` or `depth`; None where depth lies on colour.
         assumptions: what was done, and lost.
+        is_ray: whether the source's depth is the length of the ray, not z.
     """
 
     camera: SourceCamera
@@ -42,6 +44,7 @@ class AlignedFrames:
     values: DepthValues
     assumptions: dict[str, str]
     least_confidence: int | None = None
+    is_ray: bool = False
 
     @property
     def _lens(self) -> Lens:
@@ -72,21 +75,26 @@ class AlignedFrames:
     def read(self, k: int) -> tuple[UInt8[ndarray, "h w 3"], UInt16[ndarray, "h w"]]:
         """RGB and raw depth of the k-th kept frame."""
         i = self.kept[k]
-        color = self._checked("colour", i, self.camera.color(i), self.camera.lens)
         lens = self.camera.lens.at(i)
-        maps = undistortion(lens)
-        color = undistorted(color, maps)
-        depth_lens = (self.camera.depth_lens or self.camera.lens).at(i)
-        raw = self._measured(i, depth_lens)
-        raw = undistorted(raw, undistortion(depth_lens) if self.camera.depth_lens else maps)
+        color = undistorted(self._checked("colour", i, self.camera.color(i), self.camera.lens), undistortion(lens))
         if self.to == "depth":
+            depth_lens = (self.camera.depth_lens or self.camera.lens).at(i)
             color = color_at_depth_size(color, lens.K, depth_lens.K, depth_lens.size)
-        elif self.to == "color":
+        return color, self.read_depth(k)
+
+    def read_depth(self, k: int) -> UInt16[ndarray, "h w"]:
+        """Raw depth of the k-th kept frame."""
+        i = self.kept[k]
+        lens, depth_lens = self.camera.lens.at(i), (self.camera.depth_lens or self.camera.lens).at(i)
+        raw = undistorted(self._measured(i, depth_lens), undistortion(depth_lens))
+        if self.is_ray:
+            raw = z_of_ray_length(raw, depth_lens.K)
+        if self.to == "color":
             metres = self.values.metres(raw)
             raw = self.values.quantised(
                 registered_depth(metres, depth_lens.K, lens.K, lens.size, _extrinsics(self.camera))
             )
-        return color, self.values.stored(raw)
+        return self.values.stored(raw)
 
     def read_labels(self, k: int) -> UInt8[ndarray, "h w"]:
         """Labels of the k-th kept frame."""
@@ -157,7 +165,7 @@ def aligned(source: Path, camera: SourceCamera, kept: list[int], options: Source
         raise UsageError("--confidence", expected="a source with confidence maps", got="none", fix="leave it out.")
     values = depth_values(camera, kept)
     assumptions |= _stated(camera, to, options, values)
-    return AlignedFrames(camera, kept, to, values, assumptions, options.confidence)
+    return AlignedFrames(camera, kept, to, values, assumptions, options.confidence, options.depth_is == "ray")
 
 
 def check_lens(camera: SourceCamera, lens: Lens, stated: str) -> None:
@@ -211,6 +219,12 @@ def scaled_lens(lens: Lens, size: tuple[int, int]) -> Lens:
     return Lens(K, size, lens.distortion)
 
 
+def z_of_ray_length(length: Depth, K: Float[ndarray, "3 3"]) -> Depth:
+    """z-depth of each pixel from the length of its ray, in the same units and type."""
+    z = length / np.linalg.norm(unproject(pixel_grid(*length.shape), np.ones(length.shape), K), axis=-1)
+    return np.rint(z).astype(np.uint16) if length.dtype == np.uint16 else z.astype(np.float32)
+
+
 def parse_distortion(text: str) -> Distortion:
     """The lens in `MODEL:NUMBERS`; `UsageError` for anything else."""
     model, _, numbers = text.partition(":")
@@ -253,6 +267,8 @@ def _stated(camera: SourceCamera, to: str | None, options: SourceOptions, values
                 f"{lens.distortion.model} distortion ({numbers}) was taken out, K kept: colour interpolated, depth "
                 "from the nearest pixel; what lies outside the pinhole image is lost"
             )
+    if options.depth_is == "ray":
+        stated["ray length"] = "depth along the ray in the source, converted to z"
     if camera.confidence is not None:
         least = options.confidence
         stated["confidence"] = (

@@ -51,7 +51,7 @@ def prepared(source: Path, recording: SourceRecording, options: SourceOptions) -
         refuse(source, refused)
     kept = _kept(source, recording, chosen, bad)
     origin = _origin(recording, kept) if options.local_origin else np.zeros(3)
-    cameras, assumptions = [], dict(recording.assumptions)
+    cameras, agreements, assumptions = [], {}, dict(recording.assumptions)
     for camera in recording.cameras:
         frames = aligned(source, camera, kept[camera.name], options)
         ready = _camera(source, camera, frames, kept[camera.name], origin)
@@ -60,7 +60,11 @@ def prepared(source: Path, recording: SourceRecording, options: SourceOptions) -
         assumptions |= {prefix + name: text for name, text in frames.assumptions.items()}
         assumptions |= _counts(prefix, camera, chosen[camera.name], kept[camera.name], bad)
         otherwise = {name: _moved(poses[kept[camera.name]], origin) for name, poses in camera.otherwise.items()}
-        assumptions[f"{prefix}agreement"] = agreement(ready, otherwise)
+        scale_option = "--depth-scale" if hasattr(options, "depth_scale") else ""
+        agreements[camera.name] = agreement(ready, otherwise, scale_option=scale_option)
+        assumptions[f"{prefix}agreement"] = agreements[camera.name].text
+        if not options.trust:
+            agreements[camera.name].refuse(source, camera.name)
     if origin.any():
         x, y, z = origin
         assumptions["origin"] = f"({x:.0f}, {y:.0f}, {z:.0f}) m of the source's world is 0 here; exports add it again"
@@ -74,6 +78,7 @@ def prepared(source: Path, recording: SourceRecording, options: SourceOptions) -
             label: ObjectPose(_moved(pose.world_from_object[None], origin)[0], pose.error)
             for label, pose in recording.object_poses.items()
         },
+        agreements=agreements,
         origin=(float(origin[0]), float(origin[1]), float(origin[2])),
         left_out={f"{fault.camera}/{fault.frame}": fault.reason for fault in bad},
     )
@@ -124,6 +129,7 @@ def _camera(
         world_from_cameras=_moved(poses, origin),
         time=time,
         read=frames.read,
+        read_depth=frames.read_depth,
         labels=frames.read_labels if camera.labels else None,
         distortion=frames.distortion,
     )

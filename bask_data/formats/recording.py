@@ -17,6 +17,7 @@ from numpy import ndarray
 
 from bask_data.core.lens import Distortion, Lens
 from bask_data.errors import BadData
+from bask_data.formats.verdict import Agreement
 
 Depth = UInt16[ndarray, "h w"] | Float32[ndarray, "h w"]
 """Raw depth of a frame: 0 means no measurement; in floating-point depth also NaN, infinite and negative values."""
@@ -82,6 +83,7 @@ class CameraRecording:
         depth_scale: metres per unit of raw depth.
         time: seconds.
         read: RGB and raw depth of a frame, 0 = no measurement.
+        read_depth: raw depth alone.
         labels: object label at each pixel of a frame, 0 = none: ground truth, for reports only.
         distortion: the lens distortion that is taken out.
     """
@@ -94,6 +96,7 @@ class CameraRecording:
     world_from_cameras: Float[ndarray, "t 4 4"]
     time: Float[ndarray, " t"]
     read: Callable[[int], tuple[UInt8[ndarray, "h w 3"], UInt16[ndarray, "h w"]]]
+    read_depth: Callable[[int], UInt16[ndarray, "h w"]]
     labels: Callable[[int], UInt8[ndarray, "h w"]] | None = None
     distortion: Distortion | None = None
 
@@ -157,6 +160,7 @@ class PreparedRecording:
     Args:
         assumptions: those of the reader, and what was done to its frames.
         origin: metres; the source's world coordinates are ours plus this.
+        agreements: what depth says about the way each camera was read.
         left_out: why frames were left out, by `camera/frame`.
     """
 
@@ -166,6 +170,7 @@ class PreparedRecording:
     assumptions: dict[str, str]
     files: tuple[Path, ...]
     object_poses: dict[int, ObjectPose]
+    agreements: dict[str, Agreement]
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     left_out: dict[str, str] = field(default_factory=dict)
 

@@ -172,19 +172,17 @@ def test_ingest_prints_every_assumption_and_refuses_to_overwrite(tmp_path: Path)
     assert "pass --force" in again.stderr
 
 
-def test_poses_of_another_convention_are_noted_and_the_corrected_command_is_next(tmp_path: Path) -> None:
+def test_poses_of_another_convention_are_refused_with_the_options_that_fit(tmp_path: Path) -> None:
     files, root = tmp_path / "my files", tmp_path / "d"
     options = write_recording(files)
-    ended = cli("ingest", "frames", files, root, "--scene", "a", "--as", "demonstration", *options, "--axes", "opengl")
-    assert ended.exit_code == 0
-    assert "  note: the poses may be wrong: " in ended.stderr and "assumed     agreement" not in ended.stderr
-    [following] = [line for line in ended.stderr.splitlines() if line.startswith("next: ")]
-    words = shlex.split(following.removeprefix("next: bask-data "))
-    assert words[:2] == ["ingest", "frames"] and words.count("--axes") == 1
-    corrected = cli(*words)
-    assert corrected.exit_code == 0 and "note:" not in corrected.stderr
-    assert f"next: bask-data run {root}" in corrected.stderr
-    assert "assumed     agreement: 9" in corrected.stderr
+    call = ["ingest", "frames", files, root, "--scene", "a", "--as", "demonstration", *options]
+    refused = cli(*call, "--axes", "opengl")
+    assert refused.exit_code == 4 and not root.exists()
+    assert "fix: pass --pose-is world_from_camera --axes opencv; --trust reads it as told." in refused.stderr
+    corrected = cli(*call, "--pose-is", "world_from_camera", "--axes", "opencv")
+    assert corrected.exit_code == 0 and "assumed     agreement: " in corrected.stderr
+    trusted = cli(*call, "--axes", "opengl", "--trust", "--force")
+    assert trusted.exit_code == 0 and "note        agreement: " in trusted.stderr
 
 
 def test_lists_on_the_command_line_are_split_at_commas(one_scan: Dataset) -> None:

@@ -1,63 +1,114 @@
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
 import numpy as np
+import pytest
 from jaxtyping import Float
 from numpy import ndarray
 
 from bask_data.core.geometry import invert_rigid, pixel_grid, unproject
-from bask_data.formats.agreement import agreement, better_options, is_doubtful
+from bask_data.errors import BadData
+from bask_data.formats.agreement import agreement
 from bask_data.formats.recording import CameraRecording
+from bask_data.formats.verdict import Agreement, is_doubtful
+from tests.scenes import intrinsics, noisy, orbit, tabletop
 
-K = np.array([[100.0, 0, 39.5], [0, 100.0, 29.5], [0, 0, 1]])
-
-
-def turned(angle: float, offset: tuple[float, float, float]) -> Float[ndarray, "4 4"]:
-    matrix = np.eye(4)
-    matrix[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
-    matrix[:3, 3] = offset
-    return matrix
+HEIGHT, WIDTH = 60, 80
+K = intrinsics(HEIGHT, WIDTH)
+POSES = orbit(12, n_turns=0.4)
+OPENGL = POSES @ np.diag([1.0, -1, -1, 1])
 
 
-def camera_before_a_wall(world_from_cameras: Float[ndarray, "t 4 4"]) -> CameraRecording:
-    """A camera that sees the plane z = 1 + x / 2 in the world frame, with analytic depth."""
+@cache
+def depth_of(i: int) -> ndarray:
+    """Depth as a sensor measures it, 0.1 mm: 2 % noise and 30 % holes."""
+    exact = tabletop(3).render(K, POSES[i], HEIGHT, WIDTH).depth
+    measured = noisy(exact, 0.0, np.random.default_rng(i), 0.3)
+    return np.rint(1e4 * measured * np.random.default_rng(i).normal(1, 0.02, exact.shape)).astype(np.uint16)
 
-    def read(i: int) -> tuple[ndarray, ndarray]:
-        world_from_camera = world_from_cameras[i]
-        rays = unproject(pixel_grid(60, 80), np.ones((60, 80)), K) @ world_from_camera[:3, :3].T
-        x, _, z = world_from_camera[:3, 3]
-        depth = (1 + x / 2 - z) / (rays[..., 2] - rays[..., 0] / 2)
-        return np.zeros((60, 80, 3), np.uint8), np.rint(1e4 * depth).astype(np.uint16)
 
+def camera(
+    poses: Float[ndarray, "t 4 4"] = POSES, scale: float = 1e-4, frames: list[int] | None = None
+) -> CameraRecording:
+    """The camera that went along `POSES`, with the poses of `poses`."""
+    chosen = frames if frames is not None else list(range(len(POSES)))
+    n = len(chosen)
+    black = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     return CameraRecording(
-        "c", K, 60, 80, 1e-4, world_from_cameras, np.arange(len(world_from_cameras), dtype=float), read
+        name="c",
+        K=K,
+        height=HEIGHT,
+        width=WIDTH,
+        depth_scale=scale,
+        world_from_cameras=poses[chosen],
+        time=np.arange(float(n)),
+        read=lambda k: (black, depth_of(chosen[k])),
+        read_depth=lambda k: depth_of(chosen[k]),
     )
 
 
-POSES = np.stack([turned(0.1 * i, (0.05 * i, 0.0, 0.02 * i)) for i in range(4)])
+def readings(given: Float[ndarray, "t 4 4"]) -> dict[str, Float[ndarray, "t 4 4"]]:
+    """What else poses written as `given` could mean."""
+    flip = np.diag([1.0, -1, -1, 1])
+    return {"--axes other": given @ flip, "--pose-is other": invert_rigid(given), "both": invert_rigid(given) @ flip}
 
 
-def test_exact_poses_agree_with_the_depth_of_a_wall() -> None:
-    text = agreement(camera_before_a_wall(POSES), {})
-    assert text.startswith("100% of the depth of a frame") and not is_doubtful(text) and not better_options(text)
+def test_the_right_reading_is_sure_under_noise_and_holes() -> None:
+    found = agreement(camera(), readings(POSES))
+    assert found.verdict == "fits" and not is_doubtful(found.text)
+    found.refuse(Path("src"), "c")
 
 
-def test_a_better_interpretation_of_the_poses_is_named() -> None:
-    camera = camera_before_a_wall(POSES)
-    wrong = CameraRecording("c", K, 60, 80, 1e-4, invert_rigid(POSES), camera.time, camera.read)
-    text = agreement(wrong, {"--pose-is other": POSES, "--axes worse": invert_rigid(POSES) @ POSES})
-    assert text.endswith("with --pose-is other it would be 100%: look at the options")
-    assert is_doubtful(text) and better_options(text) == "--pose-is other"
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [(OPENGL, "--axes other"), (invert_rigid(POSES), "--pose-is other"), (invert_rigid(OPENGL), "both")],
+    ids=["axes", "direction", "both"],
+)
+def test_a_wrong_reading_is_refused_with_the_options_for_the_right_one(wrong: ndarray, named: str) -> None:
+    found = agreement(camera(wrong), readings(wrong))
+    assert found.verdict == "other" and found.options == named and is_doubtful(found.text)
+    with pytest.raises(BadData, match=f"poses of c: expected a reading that depth supports.*fix: pass {named};"):
+        found.refuse(Path("src"), "c")
 
 
-def test_disagreement_without_a_better_interpretation_is_reported() -> None:
-    camera = camera_before_a_wall(POSES)
-    # A wrong scale alone would hardly show: these cameras mostly rotate, which does not depend on the scale.
-    scaled = CameraRecording("c", K * [[2], [2], [1]], 60, 80, 5e-4, POSES, camera.time, camera.read)
-    text = agreement(scaled, {})
-    assert text.endswith("look at the poses, the intrinsics and the depth scale")
-    assert is_doubtful(text) and not better_options(text)
+@pytest.mark.parametrize(("scale", "named"), [(1e-3, "--depth-scale 0.0001"), (5e-4, "--depth-scale 0.0001")])
+def test_depth_in_another_unit_is_refused_with_the_right_scale(scale: float, named: str) -> None:
+    found = agreement(camera(scale=scale), {}, scale_option="--depth-scale")
+    assert (found.verdict, found.options) == ("other", named)
 
 
-def test_a_single_frame_cannot_be_compared() -> None:
-    text = agreement(camera_before_a_wall(POSES[:1]), {})
-    assert text == "a single frame: nothing to hold the poses against" and not is_doubtful(text)
+def test_poses_that_lag_by_a_frame_are_noted_but_no_option_mends_them() -> None:
+    lagging = POSES[np.maximum(np.arange(len(POSES)) - 1, 0)]
+    found = agreement(camera(lagging), {})
+    assert found.verdict == "other" and "the pose of the next frame" in found.text and is_doubtful(found.text)
+    found.refuse(Path("src"), "c")
+
+
+def test_depth_along_the_ray_is_told_from_z() -> None:
+    rays = np.linalg.norm(unproject(pixel_grid(HEIGHT, WIDTH), np.ones((HEIGHT, WIDTH)), K), axis=-1)
+    along = replace(camera(), read_depth=lambda k: np.rint(depth_of(k) * rays).astype(np.uint16))
+    found = agreement(along, readings(POSES))
+    assert (found.verdict, found.options) == ("other", "--depth-is ray")
+
+
+def test_poses_of_another_recording_are_refused() -> None:
+    found = agreement(camera(POSES[::-1] @ invert_rigid(POSES[3])), {})
+    assert found.verdict == "nothing fits"
+    with pytest.raises(BadData, match="these poses do not belong to this depth.*--trust"):
+        found.refuse(Path("src"), "c")
+
+
+def test_a_camera_that_does_not_move_tells_nothing() -> None:
+    still = camera(np.tile(POSES[:1], (len(POSES), 1, 1)), frames=[0] * 6)
+    found = agreement(still, {"--axes other": np.tile(OPENGL[:1], (6, 1, 1))})
+    assert found.verdict == "cannot tell" and "a camera that does not move" in found.text and is_doubtful(found.text)
+    found.refuse(Path("src"), "c")
+
+
+def test_a_single_frame_tells_nothing_and_that_is_said() -> None:
+    found = agreement(camera(frames=[0]), {})
+    assert found == Agreement(0.0, 0, "cannot tell")
+    assert found.text.startswith("cannot tell: a single frame") and is_doubtful(found.text)

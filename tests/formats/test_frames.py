@@ -169,11 +169,11 @@ def test_a_scaled_pose_is_refused_with_its_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("broken", [b"", b"\x89PNG\r\n\x1a\n", b"\x00" * 100])
 @pytest.mark.parametrize("kind", ["color", "depth"])
-def test_a_broken_image_is_refused_before_any_frame_is_read(tmp_path: Path, kind: str, broken: bytes) -> None:
+def test_a_broken_image_is_refused_when_it_is_read(tmp_path: Path, kind: str, broken: bytes) -> None:
     write_frames(tmp_path, np.stack([np.eye(4)] * 3))
     (tmp_path / f"frame-000002.{kind}.png").write_bytes(broken)
     with pytest.raises(BadData, match=f"frame-000002.{kind}.png"):
-        read(tmp_path)
+        read(tmp_path).cameras[0].read(2)
 
 
 def test_swapped_depth_and_colour_are_detected(tmp_path: Path) -> None:
@@ -251,14 +251,6 @@ def test_a_recording_is_consistent_in_its_own_convention_only(
         "intrinsics": str(shelf / "camera-intrinsics.color.txt"),
         "depth_scale": 1e-4,
     }
-    recording = read(tmp_path, **options)
-    assert median_depth_disagreement(recording, 0, 1) < 0.006
-    assert recording.assumptions["agreement"].startswith("9")
+    assert median_depth_disagreement(read(tmp_path, **options), 0, 1) < 0.006
     for wrong in ({"pose_is": "camera_from_world"}, {"axes": "opengl"}):
-        recording = read(tmp_path, **options, **wrong)
-        assert not median_depth_disagreement(recording, 0, 1) < 0.03
-        assert "with --pose-is world_from_camera --axes opencv it would be 9" in recording.assumptions["agreement"]
-    assert (
-        "look at the poses, the intrinsics and the depth scale"
-        in read(tmp_path, **options | {"depth_scale": 5e-4}).assumptions["agreement"]
-    )
+        assert not median_depth_disagreement(read(tmp_path, **options, **wrong), 0, 1) < 0.03

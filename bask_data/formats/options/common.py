@@ -54,10 +54,16 @@ class SourceOptions(Params):
         description="File with the pose of the depth camera in the colour camera: 4x4, or tx ty tz qx qy qz qw.",
         json_schema_extra={"file": True},
     )
+    depth_is: Literal["z", "ray"] = Field(
+        "z", description="What depth measures: along the optical axis (z, usual), or the length of the ray."
+    )
     distortion: Text = Field(
         "",
         description="Lens distortion to take out, if the files do not state it: MODEL:NUMBERS, for instance "
         "opencv:k1,k2,p1,p2[,k3[,k4,k5,k6]], fisheye:k1,k2,k3,k4, or one of COLMAP's models.",
+    )
+    trust: bool = Field(
+        False, description="Read as told, even if the depth of the frames supports another reading of poses or units."
     )
     local_origin: bool = Field(
         True, description="Move a world whose origin is far (UTM) near to the cameras; undone at export."

@@ -1,0 +1,64 @@
+"""What depth says about the way a recording was read, in a form that is kept and shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from bask_data.errors import BadData
+
+STILL = "a camera that does not move"
+"""The rival that every reading must beat."""
+
+SURE = "no other reading does as well"
+"""Words of a text that says the reading is sure."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What the depth of a recording says about the way it was read.
+
+    Args:
+        share: mean evidence of the given reading, in [0, 1].
+        verdict: `fits`: sure; `other`: sure of another reading; `nothing fits`; `cannot tell`.
+        better: the reading that fits better, in words or as options; for `other`.
+        options: options that give the better reading, empty if there are none.
+        rivals: what cannot be told from the given reading; for `cannot tell`.
+    """
+
+    share: float
+    n_pairs: int
+    verdict: str
+    better: str = ""
+    better_share: float = 0.0
+    options: str = ""
+    rivals: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """A sentence for the recording's assumptions; it is stored: rewording it changes the digests of artifacts."""
+        if self.n_pairs == 0:
+            return "cannot tell: a single frame has nothing to hold its pose against, and shows objects from one side"
+        share = f"{self.share:.0%} of the depth of a frame, warped into another, meets what was measured there"
+        if self.verdict == "fits":
+            return f"{share} ({self.n_pairs} pairs); {SURE}"
+        if self.verdict == "other":
+            return f"{share}; with {self.better} it would be {self.better_share:.0%} ({self.n_pairs} pairs)"
+        if self.verdict == "nothing fits":
+            return f"{share}, no more than for {STILL} ({self.n_pairs} pairs): these poses do not belong to this depth"
+        return f"cannot tell from {', '.join(self.rivals)}: {share} ({self.n_pairs} pairs)"
+
+    def refuse(self, source: Path, camera: str) -> None:
+        """Raise `BadData` if depth is sure that the recording is read wrongly and there is something to do about it."""
+        if self.verdict == "other" and self.options:
+            fix = f"pass {self.options}; --trust reads it as told."
+        elif self.verdict == "nothing fits":
+            fix = "check that poses, depth and intrinsics belong together, and depth's unit; --trust reads it as told."
+        else:
+            return
+        raise BadData(source, f"poses of {camera}", expected="a reading that depth supports", got=self.text, fix=fix)
+
+
+def is_doubtful(text: str) -> bool:
+    """Whether the text of an agreement says that a reading is not sure, or wrong."""
+    return SURE not in text
