@@ -33,7 +33,7 @@ SURE_T, SURE_GAIN = 2.5, 0.01
 MOVED_T = 2.0
 """A reading must beat the camera that does not move by so many standard errors over the pairs."""
 
-POOR = 0.25
+POOR_EVIDENCE = 0.25
 """Mean evidence below which depth and poses do not fit under a reading. Exact synthetic data have 0.86, hand-held
 recordings 0.5 to 0.7."""
 
@@ -130,11 +130,11 @@ def _judged(
     ]
     if not _beats(scores[best], still, MOVED_T, 0.0):
         unbeaten.append(STILL)
-    if has_moved and n_pairs >= REFUSED_PAIRS and mean[best] < POOR and STILL in unbeaten:
+    if has_moved and n_pairs >= REFUSED_PAIRS and mean[best] < POOR_EVIDENCE and STILL in unbeaten:
         return replace(made, verdict="nothing fits")
     if best == 0 and not unbeaten:
         return made
-    if best != 0 and not unbeaten and mean[best] >= POOR:
+    if best != 0 and not unbeaten and mean[best] >= POOR_EVIDENCE:
         reading = readings[best]
         return replace(
             made,

@@ -16,6 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 from bask_data.cli.app import app
+from bask_data.formats import FORMATS
 
 BASH = shutil.which("bash")
 pytestmark = pytest.mark.skipif(BASH is None, reason="no bash")
