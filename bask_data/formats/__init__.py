@@ -77,7 +77,7 @@ FORMATS = (
     Format("tum", "A TUM RGB-D sequence: rgb.txt, depth.txt and groundtruth.txt with timestamps.", TumOptions),
     Format(
         "scannet",
-        "A ScanNet scan: what SensReader exports (color, depth, pose, intrinsic), or the .sens file.",
+        "A scan of ScanNet: what SensReader exports, or the .sens file; and 3RScan and 12-Scenes.",
         ScannetOptions,
         "The exported folder, the scan's folder, or its .sens file.",
     ),

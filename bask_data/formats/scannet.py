@@ -1,7 +1,7 @@
 """ScanNet: what its SensReader exports, the benchmark's frames_25k, or the downloaded `.sens` file itself.
 
-Names of frames are numbers without leading zeros. Frames whose tracking was lost have a pose of -inf; every scan has
-some, so they are left out without being asked.
+3RScan and 12-Scenes have the same files. Frames whose tracking was lost have a pose of -inf; every scan has some, so
+they are left out without being asked.
 """
 
 from __future__ import annotations
@@ -15,17 +15,14 @@ from numpy import ndarray
 from bask_data.core.geometry import invert_rigid
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData, UsageError
-from bask_data.formats.files import Folder, frame_number, listed, numbers, paired, read_lines
+from bask_data.formats.files import Folder, frame_number, listed, paired
 from bask_data.formats.images import image_header, read_color, read_depth
-from bask_data.formats.intrinsics import intrinsics_matrix
 from bask_data.formats.options.scannet import ScannetOptions
-from bask_data.formats.poses import read_pose, read_transforms
+from bask_data.formats.poses import read_transforms
 from bask_data.formats.recording import SourceCamera, SourceRecording
+from bask_data.formats.scannet_export import Export, find_export
 from bask_data.formats.scannet_labels import instance_labels
 from bask_data.formats.scannet_sens import SensFile
-
-EXPORTED_SCALE = 0.001
-"""Metres per unit of exported depth. Source: ScanNet's SensReader, whose depthShift is 1000."""
 
 IDENTITY_TOLERANCE = 1e-6
 """Largest deviation from the identity of extrinsics that mean one camera: they are written to six decimals."""
@@ -36,29 +33,21 @@ def read(source: Path, options: ScannetOptions) -> SourceRecording:
     if source.is_file():
         if source.suffix.lower() != ".sens":
             raise UsageError(source, "SOURCE", expected="a folder, or a file .sens", got=f"a file {source.suffix}")
-        return _of_sens(Folder(source.parent, options.follow_links).member(source.name, "SOURCE"), options)
+        return _of_sens(Folder(source.parent, options.follow_links), source.name, options)
     _refuse_scannet_pp(source)
-    exported = [folder for folder in (source, *_subfolders(source)) if _is_exported(folder)]
-    if exported:
-        return _of_folder(Folder(source, options.follow_links), exported[0].relative_to(source).as_posix(), options)
+    folder = Folder(source, options.follow_links)
+    if exported := find_export(folder):
+        return _of_files(folder, exported, options)
     packed = sorted(path for path in source.glob("*.sens") if not path.name.startswith("."))
     if len(packed) == 1:
-        return _of_sens(Folder(source, options.follow_links).member(packed[0].name, "SOURCE"), options)
+        return _of_sens(folder, packed[0].name, options)
     raise BadData(
         source,
         "SOURCE",
-        expected="folders color, depth, pose and intrinsic, or one .sens file",
-        got=listed([path.name for path in packed]) if packed else "neither",
+        expected="folders color, depth, pose and intrinsic, an info file, or one .sens file",
+        got=listed([path.name for path in packed]) if packed else "none of them",
         fix="name one .sens file as SOURCE." if packed else "choose the folder that SensReader exported to.",
     )
-
-
-def _is_exported(folder: Path) -> bool:
-    return (folder / "color").is_dir() and (folder / "depth").is_dir()
-
-
-def _subfolders(source: Path) -> list[Path]:
-    return sorted(path for path in source.iterdir() if path.is_dir() and not path.name.startswith("."))
 
 
 def _refuse_scannet_pp(source: Path) -> None:
@@ -74,20 +63,15 @@ def _refuse_scannet_pp(source: Path) -> None:
         )
 
 
-def _of_folder(folder: Folder, inside: str, options: ScannetOptions) -> SourceRecording:
-    """What SensReader exported to the folder `inside` the source folder."""
-    prefix = "" if inside == "." else f"{inside}/"
-    groups = {
-        "color": folder.files_in(f"{prefix}color", (".jpg", ".jpeg", ".png"), "colour"),
-        "depth": folder.files_in(f"{prefix}depth", (".png", ".pgm"), "depth"),
-        "pose": folder.files_in(f"{prefix}pose", (".txt",), "poses"),
-    }
+def _of_files(folder: Folder, export: Export, options: ScannetOptions) -> SourceRecording:
+    """What SensReader exported."""
+    groups, calibration = export.groups, export.calibration
     names, missing = paired(folder.path, groups, patterns=False)
     color, depth = ([groups[kind].get(name) for name in names] for kind in ("color", "depth"))
     written = dict(zip(groups["pose"], read_transforms(list(groups["pose"].values())), strict=True))
     poses = np.stack([written.get(name, np.full((4, 4), np.nan)) for name in names])
-    K, depth_K, color_from_depth, color_from_body, calibration = _calibration(folder, prefix)
-    labels = instance_labels(folder, prefix, names)
+    color_from_depth = _color_from_depth(calibration.color_from_body, calibration.depth_from_body)
+    labels = instance_labels(folder, export.prefix, names)
     faults = {names.index(name): fault for name, fault in missing.items()}
     lost = {
         i: _tracking_lost(f"{groups['pose'][name]}", "-inf or NaN")
@@ -98,13 +82,13 @@ def _of_folder(folder: Folder, inside: str, options: ScannetOptions) -> SourceRe
     camera = SourceCamera(
         name=options.camera,
         frames=tuple(names),
-        lens=Lens(K, (header.height, header.width)),
-        world_from_cameras=_of_color(poses, color_from_body),
+        lens=Lens(calibration.color_K, (header.height, header.width)),
+        world_from_cameras=_of_color(poses, calibration.color_from_body),
         time=_time(names, options.fps),
         color=lambda i: read_color(_file(color[i])),
         depth=lambda i: read_depth(_file(depth[i])),
-        depth_scale=EXPORTED_SCALE,
-        depth_lens=Lens(depth_K, (depth_header.height, depth_header.width)),
+        depth_scale=calibration.depth_scale,
+        depth_lens=Lens(calibration.depth_K, (depth_header.height, depth_header.width)),
         color_from_depth=color_from_depth,
         labels=labels.read if labels.files else None,
         faults={**lost, **faults},
@@ -115,39 +99,42 @@ def _of_folder(folder: Folder, inside: str, options: ScannetOptions) -> SourceRe
         cameras=(camera,),
         robot=None,
         label_names=labels.names,
-        assumptions=_assumptions(EXPORTED_SCALE, color_from_depth)
+        assumptions=_assumptions(calibration.depth_scale, color_from_depth)
         | {"time": f"frame number / {options.fps:g} per second: the files state none", "labels": labels.statement},
         files=(
             *(file for group in groups.values() for file in group.values()),
-            *calibration,
+            *calibration.files,
             *labels.files,
             *labels.name_files,
         ),
     )
 
 
-def _of_sens(path: Path, options: ScannetOptions) -> SourceRecording:
-    """What a `.sens` file holds."""
+def _of_sens(folder: Folder, name: str, options: ScannetOptions) -> SourceRecording:
+    """What a `.sens` file holds, and the labels beside it."""
+    path = folder.member(name, "SOURCE")
     sens = SensFile.opened(path)
-    color_from_depth = _color_from_depth(path, sens.color_from_body, sens.depth_from_body)
+    color_from_depth = _color_from_depth(sens.color_from_body, sens.depth_from_body)
     time = sens.time
     lost = {
         i: _tracking_lost(f"{path}: frame {i}", "-inf or NaN")
         for i, pose in enumerate(sens.world_from_body)
         if not np.isfinite(pose).all()
     }
-    names = tuple(str(i) for i in range(sens.n_frames))
+    names = [str(i) for i in range(sens.n_frames)]
+    labels = instance_labels(folder, "", names)
     camera = SourceCamera(
         name=options.camera,
-        frames=names,
+        frames=tuple(names),
         lens=Lens(sens.color_K, sens.color_size),
         world_from_cameras=_of_color(sens.world_from_body, sens.color_from_body),
-        time=_time(list(names), options.fps) if time is None else time,
+        time=_time(names, options.fps) if time is None else time,
         color=sens.color,
         depth=sens.depth,
         depth_scale=sens.depth_scale,
         depth_lens=Lens(sens.depth_K, sens.depth_size),
         color_from_depth=color_from_depth,
+        labels=labels.read if labels.files else None,
         faults=lost,
         expected=dict.fromkeys(lost, "tracking lost"),
         pose_places=tuple(f"{path}: frame {name}" for name in names),
@@ -156,10 +143,13 @@ def _of_sens(path: Path, options: ScannetOptions) -> SourceRecording:
     return SourceRecording(
         cameras=(camera,),
         robot=None,
-        label_names={},
+        label_names=labels.names,
         assumptions=_assumptions(sens.depth_scale, color_from_depth)
-        | {"time": clock if time is None else "microseconds, from the stamps of the colour images"},
-        files=(path,),
+        | {
+            "time": clock if time is None else "microseconds, from the stamps of the colour images",
+            "labels": labels.statement,
+        },
+        files=(path, *labels.files, *labels.name_files),
     )
 
 
@@ -180,45 +170,14 @@ def _time(names: list[str], fps: float) -> Float[ndarray, " t"]:
     return np.array(known if increases else range(len(names)), np.float64) / fps
 
 
-def _calibration(
-    folder: Folder, prefix: str
-) -> tuple[
-    Float[ndarray, "3 3"], Float[ndarray, "3 3"], Float[ndarray, "4 4"] | None, Float[ndarray, "4 4"], list[Path]
-]:
-    """K of colour and of depth, color_from_depth if it is not the identity, color_from_body, and the files."""
-    files = [_calibration_file(folder, prefix, f"intrinsic_{kind}.txt") for kind in ("color", "depth")]
-    K, depth_K = (
-        intrinsics_matrix(file, [v for line in read_lines(file) for v in numbers(file, line)], "") for file in files
-    )
-    extrinsics = []
-    for kind in ("color", "depth"):
-        name = f"{prefix}intrinsic/extrinsic_{kind}.txt"
-        if folder.has(name):
-            files.append(folder.member(name, "extrinsics"))
-            extrinsics.append(read_pose(files[-1]))
-        else:
-            extrinsics.append(np.eye(4))
-    color_from_body, depth_from_body = extrinsics
-    where = files[-1]
-    return K, depth_K, _color_from_depth(where, color_from_body, depth_from_body), color_from_body, files
-
-
-def _calibration_file(folder: Folder, prefix: str, name: str) -> Path:
-    """SensReader writes `intrinsic/intrinsic_color.txt`, and frames_25k has `intrinsics_color.txt`."""
-    places = (f"{prefix}intrinsic/{name}", f"{prefix}{name.replace('intrinsic_', 'intrinsics_')}", f"{prefix}{name}")
-    return folder.member(next((place for place in places if folder.has(place)), places[0]), "intrinsics")
-
-
 def _color_from_depth(
-    where: Path, color_from_body: Float[ndarray, "4 4"], depth_from_body: Float[ndarray, "4 4"]
+    color_from_body: Float[ndarray, "4 4"], depth_from_body: Float[ndarray, "4 4"]
 ) -> Float[ndarray, "4 4"] | None:
     """Pose of the depth camera in the colour camera; None for the identity.
 
     Extrinsics are camera_from_body. Source: `convertDepthToColorSpace` in BundleFusion and VoxelHashing, whose sensor
     files these are.
     """
-    if not (np.isfinite(color_from_body).all() and np.isfinite(depth_from_body).all()):
-        raise BadData(where, "extrinsics", expected="finite numbers", got="others", fix="export the scan again.")
     color_from_depth = color_from_body @ invert_rigid(depth_from_body)
     return None if np.abs(color_from_depth - np.eye(4)).max() <= IDENTITY_TOLERANCE else color_from_depth
 

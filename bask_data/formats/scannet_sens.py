@@ -19,6 +19,7 @@ from bask_data.errors import BadData
 from bask_data.formats.files import MAX_IMAGE_BYTES
 from bask_data.formats.images import MAX_PIXELS, decode_color
 from bask_data.formats.intrinsics import intrinsics_matrix
+from bask_data.formats.poses import rigid
 
 VERSION = 4
 """The one version of the format that ScanNet has."""
@@ -90,8 +91,8 @@ class SensFile:
             path=path,
             color_K=intrinsics_matrix(path, matrices[0].ravel().tolist(), ""),
             depth_K=intrinsics_matrix(path, matrices[2].ravel().tolist(), ""),
-            color_from_body=matrices[1],
-            depth_from_body=matrices[3],
+            color_from_body=rigid(f"{path}: extrinsics of colour", matrices[1]),
+            depth_from_body=rigid(f"{path}: extrinsics of depth", matrices[3]),
             color_size=(h, w),
             depth_size=(depth_h, depth_w),
             depth_scale=1 / round(shift, 6),

@@ -191,6 +191,44 @@ def test_the_benchmarks_frames_are_read(tmp_path: Path) -> None:
     check_frames(read(tmp_path), 2e-6)
 
 
+INFO = {
+    "m_depthShift": "2000",
+    "m_calibrationColorIntrinsic": " ".join(f"{value:g}" for value in four(COLOR_K).ravel()),
+    "m_calibrationDepthIntrinsic": " ".join(f"{value:g}" for value in four(K).ravel()),
+    "m_calibrationDepthExtrinsic": "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1",
+}
+
+
+@pytest.mark.parametrize(("info", "inside"), [("_info.txt", ""), ("info.txt", "data/")])
+def test_files_of_one_folder_beside_an_info_file_are_read(tmp_path: Path, info: str, inside: str) -> None:
+    for i in range(4):
+        write_image(tmp_path / f"{inside}frame-{i:06d}.color.png", COLOR[i])
+        write_image(tmp_path / f"{inside}frame-{i:06d}.depth.pgm", DEPTH[i])
+        np.savetxt(tmp_path / f"{inside}frame-{i:06d}.pose.txt", POSES[i], fmt="%f")
+    (tmp_path / info).write_text("\n".join(f"{name} = {value}" for name, value in INFO.items()))
+    recording = read(tmp_path)
+    [camera] = recording.cameras
+    np.testing.assert_allclose(camera.K, K)
+    np.testing.assert_allclose(camera.world_from_cameras, POSES[KEPT], atol=2e-6)
+    assert camera.depth_scale == pytest.approx(0.0005) and np.array_equal(camera.read(2)[1], DEPTH[3])
+    assert recording.assumptions["frames"] == "3 of 4; 1 left out: frame-000002 (tracking lost)"
+    (tmp_path / info).write_text("m_depthShift = 0")
+    with pytest.raises(BadData, match="m_depthShift: expected units per metre, more than 0, got 0"):
+        read(tmp_path)
+    (tmp_path / info).write_text("m_depthShift = 1000")
+    with pytest.raises(BadData, match="m_calibrationColorIntrinsic: expected its value, got none"):
+        read(tmp_path)
+
+
+def test_labels_beside_a_sens_file_are_truth(tmp_path: Path) -> None:
+    (tmp_path / "a.sens").write_bytes(sens())
+    for i in range(4):
+        write_image(tmp_path / f"instance-filt/{i}.png", np.full((2 * HEIGHT, 2 * WIDTH), 1 + i, np.uint8))
+    recording = read(tmp_path)
+    assert recording.label_names == {i: f"instance {i}" for i in range(1, 5)}
+    assert recording.cameras[0].labels is not None and (recording.cameras[0].labels(2) == 4).all()
+
+
 def test_an_export_inside_the_scans_folder_is_found(tmp_path: Path) -> None:
     (tmp_path / "exported").mkdir()
     write_export(tmp_path / "exported")
@@ -208,7 +246,7 @@ def test_a_frame_without_depth_is_refused_unless_it_may_be_left_out(tmp_path: Pa
 
 
 def test_what_is_no_scan_of_scannet_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadData, match=r"expected folders color, depth, pose and intrinsic, or one \.sens file"):
+    with pytest.raises(BadData, match=r"expected folders color, .*, an info file, or one \.sens file"):
         read(tmp_path)
     (tmp_path / "a.txt").touch()
     with pytest.raises(UsageError, match=r"expected a folder, or a file \.sens, got a file \.txt"):
