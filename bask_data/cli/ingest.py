@@ -36,6 +36,10 @@ EXAMPLES = {
     bask-data ingest bop ycbv/test/000048 data/ycbv --scene scene48
     bask-data ingest bop YCB_Video_Dataset/data data/ycbv --episode 0000 --scene scene0
     """,
+    "lerobot": """
+    bask-data ingest lerobot pour data/demo --scene pour --as demonstration --episode all --intrinsics wrist.txt
+    bask-data ingest lerobot exported data/again --scene demo0 --as demonstration --episode 0
+    """,
     "apc": """
     bask-data ingest apc datasets/apc_shelf data/demo --scene shelf
     """,

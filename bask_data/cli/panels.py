@@ -88,6 +88,18 @@ PANELS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         ),
         "Times": ("timestamps", "time_unit", "max_pose_gap"),
     },
+    "lerobot": {
+        EVERYDAY: ("episode", "cameras", "intrinsics", "pose_column", "frames"),
+        "Depth and intrinsics": ("depth", "depth_scale", "intrinsics_size"),
+        "Poses of the cameras and of the gripper": (
+            "camera_pose",
+            "gripper_from_camera",
+            "gripper_pose",
+            "gripper_rotation",
+            "gripper_width",
+            "column_major",
+        ),
+    },
     "sim": {
         EVERYDAY: ("seed", "cameras", "frames", "height", "width"),
         "Scene": ("background_seed", "clutter", "finished", "distance_spread", "gripper_in_view"),

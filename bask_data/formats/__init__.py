@@ -23,6 +23,7 @@ from bask_data.formats.options.arkitscenes import ArkitscenesOptions
 from bask_data.formats.options.bop import BopOptions
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.options.frames import FramesOptions
+from bask_data.formats.options.lerobot import LerobotOptions
 from bask_data.formats.options.maniskill import ManiskillOptions
 from bask_data.formats.options.nerfstudio import NerfstudioOptions
 from bask_data.formats.options.polycam import PolycamOptions
@@ -121,5 +122,11 @@ FORMATS = (
         "Trajectories of ManiSkill 3 and 2 with images: an HDF5 file, and its JSON file if there is one.",
         ManiskillOptions,
         "The .h5 file, replayed with observations: trajectory.rgbd.*.h5.",
+    ),
+    Format(
+        "lerobot",
+        "A LeRobot dataset, v3.0 or v2.1, with depth: an episode of it.",
+        LerobotOptions,
+        "The dataset's folder, with meta/info.json.",
     ),
 )

@@ -15,6 +15,10 @@ from bask_data.dataset import Dataset
 from bask_data.errors import BadData, UsageError
 from bask_data.export import ExportSettings, export, lerobot_files
 from bask_data.export.lerobot_stats import QUANTILES, image_stats, merged_stats, vector_stats
+from bask_data.formats import FORMATS
+from bask_data.formats.options.lerobot import LerobotOptions
+from bask_data.kinds import Demonstration
+from bask_data.sources.ingest import ingest
 from tests.export.encoded import Demo, picture, seen_demo, state
 
 ORDER = "acb"
@@ -221,6 +225,36 @@ def test_cameras_are_written_without_loss(tmp_path: Path) -> None:
     stats = meta(tmp_path / "out", "stats")[f"{KEY}_depth"]
     assert np.ravel(stats["max"]) == demo.depth.max() and np.shape(stats["max"]) == (1, 1, 1)
     np.testing.assert_allclose(np.ravel(stats["mean"]), demo.depth.mean())
+
+
+@pytest.mark.parametrize("depth_scale", [0.001, 0.0002])
+def test_an_export_with_cameras_comes_back_through_ingest_with_the_same_numbers(
+    tmp_path: Path, depth_scale: float
+) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    demos = {name: seen_demo(i, 5 + i, depth_scale) for i, name in enumerate("ab")}
+    for name, demo in demos.items():
+        demo.publish(dataset, name, task="pour")
+    export(dataset, tmp_path / "out", "lerobot", ExportSettings(cameras=True))
+    ingested = next(format for format in FORMATS if format.name == "lerobot")
+    for i, demo in enumerate(demos.values()):
+        options = LerobotOptions(episode=str(i))
+        ingest(
+            tmp_path / "again", f"x{i}", format=ingested, source=tmp_path / "out", options=options, kind="demonstration"
+        )
+        again = Demonstration(tmp_path / f"again/demonstration/x{i}")
+        [camera] = again.cameras
+        assert (camera.name, camera.n_frames, camera.depth_scale) == ("wrist", 5 + i, depth_scale)
+        for k in range(camera.n_frames):
+            np.testing.assert_array_equal(camera.rgb(k), picture(k))
+            np.testing.assert_array_equal(camera.depth_raw(k), demo.depth[k])
+        np.testing.assert_array_equal(camera.Ks, demo.K)
+        np.testing.assert_array_equal(camera.time, demo.time)
+        np.testing.assert_allclose(camera.world_from_cameras, demo.world_from_cameras, atol=1e-15)
+        np.testing.assert_allclose(again.robot.world_from_gripper, demo.robot.world_from_gripper, atol=1e-15)
+        np.testing.assert_array_equal(again.robot.gripper_width, demo.robot.gripper_width)
+        np.testing.assert_array_equal(again.robot.action, demo.robot.action)
+        assert again.metadata.action_names == list(demo.robot.action_names)
 
 
 def test_depth_in_other_units_than_lerobots_is_noted(tmp_path: Path) -> None:
