@@ -56,8 +56,10 @@ def _measured(values: ndarray) -> Float32[ndarray, "h w"]:
 
 
 def _of_array(path: Path, array: ndarray) -> Depth:
-    image = array.squeeze()
-    if image.ndim != 2:
+    # (1, h, w) and (h, w, 1) are what networks and simulators hand over.
+    image = array[0] if array.ndim == 3 and len(array) == 1 else array
+    image = image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
+    if image.ndim != 2 or not image.size:
         raise _not_one_channel(path, f"an array {array.shape}")
     if image.dtype.kind == "f":
         return _measured(np.array(image))
