@@ -15,12 +15,13 @@ from jaxtyping import Float, Float32, UInt8, UInt16
 from numpy import ndarray
 
 from bask_data.core.geometry import pixel_grid, unproject
-from bask_data.core.lens import Distortion, Lens, undistorted, undistortion
+from bask_data.core.lens import Distortion, Lens, Undistortion, undistorted
 from bask_data.core.registration import color_at_depth_size, labels_at_depth_size, registered_depth
 from bask_data.errors import BadData, UsageError
 from bask_data.formats.depth_values import DepthValues, depth_values
 from bask_data.formats.files import Folder
-from bask_data.formats.intrinsics import check_intrinsics, parse_intrinsics
+from bask_data.formats.intrinsics import parse_intrinsics
+from bask_data.formats.lenses import check_lens, maps_of, parse_distortion, scaled_lens
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.poses import read_pose
 from bask_data.formats.recording import Depth, SourceCamera
@@ -76,7 +77,7 @@ class AlignedFrames:
         """RGB and raw depth of the k-th kept frame."""
         i = self.kept[k]
         lens = self.camera.lens.at(i)
-        color = undistorted(self._checked("colour", i, self.camera.color(i), self.camera.lens), undistortion(lens))
+        color = undistorted(self._checked("colour", i, self.camera.color(i), self.camera.lens), self._maps(lens))
         if self.to == "depth":
             depth_lens = (self.camera.depth_lens or self.camera.lens).at(i)
             color = color_at_depth_size(color, lens.K, depth_lens.K, depth_lens.size)
@@ -86,7 +87,7 @@ class AlignedFrames:
         """Raw depth of the k-th kept frame."""
         i = self.kept[k]
         lens, depth_lens = self.camera.lens.at(i), (self.camera.depth_lens or self.camera.lens).at(i)
-        raw = undistorted(self._measured(i, depth_lens), undistortion(depth_lens))
+        raw = undistorted(self._measured(i, depth_lens), self._maps(depth_lens))
         if self.is_ray:
             raw = z_of_ray_length(raw, depth_lens.K)
         if self.to == "color":
@@ -103,12 +104,15 @@ class AlignedFrames:
         lens = self.camera.lens.at(i)
         labels = self.camera.labels(i)
         if self.to == "depth" and self.camera.depth_lens and labels.shape == self.camera.depth_lens.size:
-            return undistorted(labels, undistortion(self.camera.depth_lens.at(i)))
-        labels = undistorted(self._checked("labels", i, labels, self.camera.lens), undistortion(lens))
+            return undistorted(labels, self._maps(self.camera.depth_lens.at(i)))
+        labels = undistorted(self._checked("labels", i, labels, self.camera.lens), self._maps(lens))
         if self.to == "depth" and self.camera.depth_lens:
             depth_lens = self.camera.depth_lens.at(i)
             return labels_at_depth_size(labels, lens.K, depth_lens.K, depth_lens.size)
         return labels
+
+    def _maps(self, lens: Lens) -> Undistortion | None:
+        return maps_of(self.camera.name, lens)
 
     def _measured(self, i: int, lens: Lens) -> UInt16[ndarray, "h w"] | Float32[ndarray, "h w"]:
         """Raw depth without values that mean none, and of enough confidence."""
@@ -168,22 +172,6 @@ def aligned(source: Path, camera: SourceCamera, kept: list[int], options: Source
     return AlignedFrames(camera, kept, to, values, assumptions, options.confidence, options.depth_is == "ray")
 
 
-def check_lens(camera: SourceCamera, lens: Lens, stated: str) -> None:
-    """Check that intrinsics fit the images they are for, and that the distortion can be taken out; `BadData`."""
-    for K in lens.K if lens.K.ndim == 3 else [lens.K]:
-        check_intrinsics(camera.name, K, lens.size, stated)
-    try:
-        undistortion(lens.at(0))
-    except ValueError as error:
-        raise BadData(
-            camera.name,
-            "lens",
-            expected="a distortion that can be taken out",
-            got=str(error),
-            fix="check the order of its numbers, and the model's name.",
-        ) from error
-
-
 def _with_options(
     folder: Folder, camera: SourceCamera, first: int, options: SourceOptions
 ) -> tuple[SourceCamera, dict[str, str]]:
@@ -207,37 +195,10 @@ def _with_options(
     return camera, assumptions
 
 
-def scaled_lens(lens: Lens, size: tuple[int, int]) -> Lens:
-    """The lens of the same camera's images of another size.
-
-    K is scaled plainly, without moving the principal point by half a pixel before and after: so do the phone apps' own
-    readers, whose K refers to pixel centres at integers in both sizes.
-    """
-    K = lens.K.copy()
-    K[..., 0, :] *= size[1] / lens.size[1]
-    K[..., 1, :] *= size[0] / lens.size[0]
-    return Lens(K, size, lens.distortion)
-
-
 def z_of_ray_length(length: Depth, K: Float[ndarray, "3 3"]) -> Depth:
     """z-depth of each pixel from the length of its ray, in the same units and type."""
     z = length / np.linalg.norm(unproject(pixel_grid(*length.shape), np.ones(length.shape), K), axis=-1)
     return np.rint(z).astype(np.uint16) if length.dtype == np.uint16 else z.astype(np.float32)
-
-
-def parse_distortion(text: str) -> Distortion:
-    """The lens in `MODEL:NUMBERS`; `UsageError` for anything else."""
-    model, _, numbers = text.partition(":")
-    try:
-        values = tuple(float(word) for word in numbers.replace(",", " ").split())
-        return Distortion("OPENCV_FISHEYE" if model.lower() == "fisheye" else model, values)
-    except ValueError as error:
-        raise UsageError(
-            "--distortion",
-            expected="MODEL:NUMBERS",
-            got=f"{text!r} ({error})",
-            fix="for instance opencv:-0.12,0.05,0.001,-0.0008.",
-        ) from error
 
 
 def _extrinsics(camera: SourceCamera) -> Float[ndarray, "4 4"]:
@@ -256,8 +217,8 @@ def _stated(camera: SourceCamera, to: str | None, options: SourceOptions, values
             )
         else:
             stated["alignment"] = (
-                f"depth of {depth_size} was registered into colour, {width} x {height}, by splatting with a z-buffer; "
-                "what the colour camera alone sees has no depth"
+                f"depth of {depth_size} was registered into colour, {width} x {height}, by triangles in a "
+                "z-buffer; single missing pixels were filled, and what colour alone sees has no depth"
             )
     for what, lens in (("colour", camera.lens), ("depth", camera.depth_lens)):
         if lens is not None and lens.distortion is not None and not lens.distortion.is_none:

@@ -16,7 +16,6 @@ from numpy import ndarray
 
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData
-from bask_data.formats.alignment import scaled_lens
 from bask_data.formats.arkitscenes_assets import (
     SAME_STAMP,
     Asset,
@@ -27,6 +26,7 @@ from bask_data.formats.arkitscenes_assets import (
 )
 from bask_data.formats.files import Folder, source_folder
 from bask_data.formats.images import read_color, read_depth, read_labels
+from bask_data.formats.lenses import scaled_lens
 from bask_data.formats.options.arkitscenes import ArkitscenesOptions
 from bask_data.formats.recording import SourceCamera, SourceRecording
 from bask_data.formats.tum import nearest

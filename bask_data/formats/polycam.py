@@ -11,11 +11,11 @@ from numpy import ndarray
 
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData
-from bask_data.formats.alignment import scaled_lens
 from bask_data.formats.clock import seconds
 from bask_data.formats.files import MAX_TEXT_BYTES, natural
 from bask_data.formats.images import decode_color, decode_depth, decode_labels, image_header
 from bask_data.formats.json_values import number, parse_json
+from bask_data.formats.lenses import scaled_lens
 from bask_data.formats.members import Members, ZipMembers, members_of
 from bask_data.formats.options.polycam import PolycamOptions
 from bask_data.formats.poses import OPENCV_FROM_OPENGL

@@ -12,12 +12,12 @@ from numpy import ndarray
 
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData
-from bask_data.formats.alignment import scaled_lens
 from bask_data.formats.clock import seconds
 from bask_data.formats.depth_files import read_any_depth
 from bask_data.formats.files import Folder, numbers, read_lines, source_folder
 from bask_data.formats.images import read_labels
 from bask_data.formats.intrinsics import parse_intrinsics
+from bask_data.formats.lenses import scaled_lens
 from bask_data.formats.options.stray import StrayOptions
 from bask_data.formats.poses import parse_transform
 from bask_data.formats.recording import SourceCamera, SourceRecording

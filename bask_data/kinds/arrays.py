@@ -111,18 +111,11 @@ class FrameWriter:
         if self._n_buffered == len(self._buffer):
             self._flush()
 
-    def close(self, n_frames: int | None = None) -> None:
-        """Write the buffer; `ValueError` if frames are missing.
-
-        Args:
-            n_frames: frames that came, if they may be fewer than announced: the array is shortened to them.
-        """
+    def close(self) -> None:
+        """Write the buffer; `ValueError` if frames are missing."""
         self._flush()
-        announced = self._n_frames if n_frames is None else n_frames
-        if self._n_written != announced:
-            raise ValueError(f"{self._name}: {self._n_written} frames written, {announced} announced")
-        if announced < self._n_frames:
-            self._array.resize((announced, *self._array.shape[1:]))
+        if self._n_written != self._n_frames:
+            raise ValueError(f"{self._name}: {self._n_written} frames written, {self._n_frames} announced")
 
     def _flush(self) -> None:
         if self._n_buffered:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat
 
-from bask_data.artifact import REMAKE, Artifact, Metadata, read_attributes, read_json, write_group
+from bask_data.artifact import REMAKE, Artifact, Metadata, read_json, write_group
 from bask_data.errors import BadData
 from bask_data.kinds.arrays import FrameWriter, read_all, read_frame, start, write_array
 from bask_data.specs import ArraySpec
@@ -178,7 +178,7 @@ class CameraFrames:
         time: (t,), seconds.
         depth_scale: metres per unit of raw depth.
         size: (height, width), pixels.
-        read: returns rgb (h, w, 3) uint8 and raw depth (h, w) uint16 of a frame; None leaves the frame out.
+        read: returns rgb (h, w, 3) uint8 and raw depth (h, w) uint16 of a frame.
     """
 
     K: np.ndarray
@@ -186,7 +186,7 @@ class CameraFrames:
     time: np.ndarray
     depth_scale: float
     size: tuple[int, int]
-    read: Callable[[int], tuple[np.ndarray, np.ndarray] | None]
+    read: Callable[[int], tuple[np.ndarray, np.ndarray]]
 
 
 class Recording(Artifact):
@@ -209,7 +209,7 @@ class Recording(Artifact):
         lenses: dict[str, LensModel] | None = None,
         **of_kind: object,
     ) -> zarr.Group:
-        """Begin writing; `write_camera` adds the cameras, `state_left_out` replaces `left_out` if more were bad.
+        """Begin writing; `write_camera` adds the cameras.
 
         Args:
             origin, left_out, lenses: see `RecordingMetadata`.
@@ -217,12 +217,6 @@ class Recording(Artifact):
         """
         stated = {"origin": origin, "left_out": left_out or {}, "lenses": lenses or {}}
         return start(out, cls, {"format": format, "assumptions": assumptions, **stated, **of_kind})
-
-    @staticmethod
-    def state_left_out(out: Path, left_out: dict[str, str]) -> None:
-        """Enter the frames left out, as `camera/number`, and why, in the metadata of a recording being written."""
-        attributes = read_attributes(out)
-        write_group(out, {**attributes, "bask": {**attributes["bask"], "left_out": left_out}})
 
     def camera(self, name: str) -> Camera:
         """The frames of a camera."""
@@ -249,32 +243,25 @@ class Recording(Artifact):
         camera: CameraFrames,
         *,
         frames: Callable[[range], object] = iter,
-    ) -> list[int]:
-        """Write a camera's frames, one in memory at a time, without those that `read` leaves out.
+    ) -> None:
+        """Write a camera's frames, one in memory at a time.
 
         Args:
             frames: wraps the range of frames, to show progress.
-
-        Returns:
-            Numbers of the frames that were written.
         """
         n_frames, size = len(camera.world_from_cameras), camera.size
         write_group(Path(str(group.store_path.store.root)) / group.path / name, {"bask": {"role": "camera"}})  # type: ignore[attr-defined]
+        write_array(group, cls, f"{name}/intrinsics", _stored_intrinsics(camera.K))
+        write_array(group, cls, f"{name}/world_from_camera", camera.world_from_cameras)
+        write_array(group, cls, f"{name}/time", camera.time)
         rgb = FrameWriter(group, cls, f"{name}/rgb", n_frames, (*size, 3))
         depth = FrameWriter(group, cls, f"{name}/depth", n_frames, size, scale_m=camera.depth_scale)
-        kept = []
         for i_frame in frames(range(n_frames)):  # type: ignore[attr-defined]
-            frame = camera.read(i_frame)
-            if frame is not None:
-                rgb.append(frame[0])
-                depth.append(frame[1])
-                kept.append(i_frame)
-        rgb.close(len(kept))
-        depth.close(len(kept))
-        write_array(group, cls, f"{name}/intrinsics", _stored_intrinsics(camera.K, kept))
-        write_array(group, cls, f"{name}/world_from_camera", camera.world_from_cameras[kept])
-        write_array(group, cls, f"{name}/time", camera.time[kept])
-        return kept
+            color, raw = camera.read(i_frame)
+            rgb.append(color)
+            depth.append(raw)
+        rgb.close()
+        depth.close()
 
 
 class Scan(Recording):
@@ -284,9 +271,6 @@ class Scan(Recording):
     scope = "scene"
 
 
-def _stored_intrinsics(K: np.ndarray, kept: list[int]) -> np.ndarray:
-    """Intrinsics of the frames kept: (3, 3) if they are the same in all, otherwise (t, 3, 3)."""
-    if K.ndim == 2 or not kept:
-        return K.reshape(-1, 3, 3)[0]
-    Ks = K[kept]
-    return Ks[0] if (Ks == Ks[0]).all() else Ks
+def _stored_intrinsics(K: np.ndarray) -> np.ndarray:
+    """Intrinsics (3, 3) if they are the same in all frames, otherwise (t, 3, 3)."""
+    return K[0] if K.ndim == 3 and (K[:1] == K).all() else K
