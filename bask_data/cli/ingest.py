@@ -60,6 +60,9 @@ EXAMPLES = {
     "stray": """
     bask-data ingest stray recordings/71de12f9 data/demo --scene desk --confidence 1 --frames ::6
     """,
+    "robomimic": """
+    bask-data ingest robomimic can/image_depth.hdf5 data/cans --scene can --as demonstration --episode demo_7
+    """,
     "sim": """
     bask-data ingest sim data/demo --task lid
     bask-data ingest sim data/demo --task phone --scans 10 --demonstrations 20 --clutter 4

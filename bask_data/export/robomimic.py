@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from bask_data.errors import imported
 from bask_data.export.episodes import SINGLE_FILE, Episode, Episodes
 from bask_data.export.images import blocks
+from bask_data.export.robomimic_cameras import write_cameras
 from bask_data.progress import progress
 
 if TYPE_CHECKING:
@@ -85,6 +86,8 @@ def _write_episode(group: Any, episode: Episode, episodes: Episodes) -> None:
         for block in blocks(camera, episode.entry.name, 32):
             images[at : at + len(block)] = block
             at += len(block)
+    if episodes.settings.cameras:
+        write_cameras(group, episode)
 
 
 def _bytes(names: Any) -> np.ndarray:

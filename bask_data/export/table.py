@@ -69,6 +69,7 @@ FORMATS = (
         suffixes=(".hdf5", ".h5"),
         columns=("action",),
         packages=("h5py",),
+        ingested=True,
     ),
     ExportFormat("diffusion-policy", "replay buffer", 'ReplayBuffer.copy_from_path("{path}")', columns=("action",)),
 )

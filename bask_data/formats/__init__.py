@@ -28,6 +28,7 @@ from bask_data.formats.options.maniskill import ManiskillOptions
 from bask_data.formats.options.nerfstudio import NerfstudioOptions
 from bask_data.formats.options.polycam import PolycamOptions
 from bask_data.formats.options.rlbench import RlbenchOptions
+from bask_data.formats.options.robomimic import RobomimicOptions
 from bask_data.formats.options.scannet import ScannetOptions
 from bask_data.formats.options.stray import StrayOptions
 from bask_data.formats.options.tum import TumOptions
@@ -128,5 +129,11 @@ FORMATS = (
         "A LeRobot dataset, v3.0 or v2.1, with depth: an episode of it.",
         LerobotOptions,
         "The dataset's folder, with meta/info.json.",
+    ),
+    Format(
+        "robomimic",
+        "Demonstrations in robomimic's HDF5 files with images and depth, or exported with --cameras.",
+        RobomimicOptions,
+        "The .hdf5 file.",
     ),
 )

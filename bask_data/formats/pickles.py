@@ -7,28 +7,20 @@ numbers, texts, lists, dictionaries, NumPy arrays of numbers, and `Record` for t
 
 from __future__ import annotations
 
-import math
 import pickletools
-import re
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy import ndarray
-
 from bask_data.errors import BadData
 from bask_data.formats.files import read_bytes
+from bask_data.formats.pickled_arrays import CALLS, DataType, PendingArray, Refused, array_of
 
 MAX_PICKLE_BYTES = 256 * 2**20
 """Largest pickle that is read, bytes: an episode of RLBench takes 1 MB, or some 100 MB if its images are inside."""
 
 MAX_OPCODES = 3_000_000
 """Most opcodes of a pickle: some 250 make an observation of RLBench, and one makes at most a hundred bytes."""
-
-NUMPY = ("numpy.core", "numpy._core")
-"""Where NumPy keeps what its pickles name, before and since version 2."""
 
 
 @dataclass
@@ -50,23 +42,15 @@ class _Named:
         return f"{self.module}.{self.name}"
 
 
-@dataclass
-class _DataType:
-    """A NumPy type of numbers: a kind and a size, and the byte order, which follows as its state."""
-
-    code: str
-    order: str = "="
-
-    @property
-    def dtype(self) -> np.dtype:
-        return np.dtype(self.order.replace("|", "=") + self.code)
-
-
-@dataclass
-class _Array:
-    """A NumPy array whose content follows as its state; `places` are those in the memo."""
-
-    places: list[int] = field(default_factory=list)
+_KNOWN = (
+    *CALLS,
+    "numpy.ndarray",
+    "copyreg._reconstructor",
+    "copy_reg._reconstructor",
+    "builtins.object",
+    "__builtin__.object",
+)
+"""Names that may occur in pickles besides those of the caller's classes."""
 
 
 class _Mark:
@@ -87,13 +71,13 @@ def read_pickle(path: Path, classes: tuple[str, ...] = ()) -> Any:
     try:
         for i, (opcode, argument, at) in enumerate(pickletools.genops(data)):
             if i >= MAX_OPCODES:
-                raise _Refused(f"more than {MAX_OPCODES} operations")
+                raise Refused(f"more than {MAX_OPCODES} operations")
             act = getattr(reader, f"do_{opcode.name.lower()}", None)
             if act is None:
-                raise _Refused(f"operation {opcode.name} at byte {at}")
+                raise Refused(f"operation {opcode.name} at byte {at}")
             act(argument)
         return reader.stack.pop()
-    except _Refused as refused:
+    except Refused as refused:
         raise BadData(
             path,
             "",
@@ -104,10 +88,6 @@ def read_pickle(path: Path, classes: tuple[str, ...] = ()) -> Any:
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, UnicodeError) as error:
         got, fix = f"{type(error).__name__}", "copy it again from its source."
         raise BadData(path, "", expected="a complete pickle", got=got, fix=fix) from error
-
-
-class _Refused(Exception):
-    """The pickle asks for something that is not plain data."""
 
 
 class _Reader:
@@ -186,7 +166,7 @@ class _Reader:
 
     def do_binput(self, i: int) -> None:
         self.memo[i] = self.stack[-1]
-        if isinstance(self.stack[-1], _Array):
+        if isinstance(self.stack[-1], PendingArray):
             self.stack[-1].places.append(i)
 
     def do_binget(self, i: int) -> None:
@@ -205,13 +185,13 @@ class _Reader:
     def do_newobj(self, _: None) -> None:
         arguments, named = self.stack.pop(), self.stack.pop()
         if not isinstance(named, _Named) or str(named) not in self._classes or not isinstance(arguments, tuple):
-            raise _Refused(f"an object of {named if isinstance(named, _Named) else 'something else than a class'}")
+            raise Refused(f"an object of {named if isinstance(named, _Named) else 'something else than a class'}")
         self.stack.append(Record(named.name))
 
     def do_reduce(self, _: None) -> None:
         arguments, named = self.stack.pop(), self.stack.pop()
         if not isinstance(named, _Named) or not isinstance(arguments, tuple):
-            raise _Refused("a call of something else than a name")
+            raise Refused("a call of something else than a name")
         if str(named) in self._classes:
             self.stack.append(Record(named.name))
         elif str(named).endswith("._reconstructor"):
@@ -219,30 +199,30 @@ class _Reader:
             self.stack.extend([cls, ()])
             self.do_newobj(None)
         else:
-            self.stack.append(_CALLS[str(named)](*arguments))
+            self.stack.append(CALLS[str(named)](*arguments))
 
     def do_build(self, _: None) -> None:
         state, built = self.stack.pop(), self.stack[-1]
         if isinstance(built, Record) and isinstance(state, dict):
             built.attributes.update(state)
-        elif isinstance(built, _Array) and isinstance(state, tuple):
+        elif isinstance(built, PendingArray) and isinstance(state, tuple):
             _, shape, data_type, fortran, content = state
-            self.stack[-1] = _array(content, data_type, shape, "F" if fortran else "C")
+            self.stack[-1] = array_of(content, data_type, shape, "F" if fortran else "C")
             self.memo.update(dict.fromkeys(built.places, self.stack[-1]))
-        elif isinstance(built, _DataType) and isinstance(state, tuple) and state[1] in ("<", ">", "|", "="):
+        elif isinstance(built, DataType) and isinstance(state, tuple) and state[1] in ("<", ">", "|", "="):
             built.order = state[1]
         else:
-            raise _Refused("a state for something that has none")
+            raise Refused("a state for something that has none")
 
     def _name(self, module: Any, name: Any) -> None:
         named = _Named(str(module)[:100], str(name)[:100]) if isinstance(name, str) else _Named("", "")
         if str(named) not in self._classes and str(named) not in _KNOWN:
-            raise _Refused(f"the name {str(named)!a}")
+            raise Refused(f"the name {str(named)!a}")
         self.stack.append(named)
 
     def _top(self, kind: type) -> Any:
         if not isinstance(self.stack[-1], kind):
-            raise _Refused(f"items for something else than a {kind.__name__}")
+            raise Refused(f"items for something else than a {kind.__name__}")
         return self.stack[-1]
 
     def _marked(self) -> list[Any]:
@@ -261,69 +241,5 @@ class _Reader:
         for key, value in zip(items[::2], items[1::2], strict=True):
             # Tuples within tuples as keys would take exponential time.
             if not isinstance(key, str | int):
-                raise _Refused(f"a key of type {type(key).__name__}")
+                raise Refused(f"a key of type {type(key).__name__}")
             found[key] = value
-
-
-def _data_type(code: Any, *_: Any) -> _DataType:
-    if not isinstance(code, str) or not re.fullmatch(r"[<>|=]?([biuf][1248]|\?)", code):
-        raise _Refused(
-            "an array of objects" if code in ("O", "O8", "|O") else "an array of something else than numbers"
-        )
-    return _DataType(code.lstrip("<>|="), code[0] if code[0] in "<>|=" else "=")
-
-
-def _reconstructed(*_: Any) -> _Array:
-    return _Array()
-
-
-def _scalar(data_type: Any, content: Any) -> Any:
-    return _array(content, data_type, (), "C").item()
-
-
-def _from_buffer(content: Any, data_type: Any, shape: Any, order: Any) -> ndarray:
-    return _array(content, data_type, shape, order)
-
-
-def _no_bytes() -> bytes:
-    """How protocols before 3 write no bytes."""
-    return b""
-
-
-def _bytes(text: Any, encoding: Any) -> bytes:
-    """How protocols before 3 write bytes."""
-    if not isinstance(text, str) or encoding != "latin1":
-        raise _Refused("bytes in an unusual encoding")
-    return text.encode("latin1")
-
-
-def _array(content: Any, data_type: Any, shape: Any, order: Any) -> ndarray:
-    if isinstance(content, list) or not isinstance(data_type, _DataType):
-        raise _Refused("an array of objects")
-    if not isinstance(content, bytes | bytearray) or not isinstance(shape, tuple) or order not in ("C", "F"):
-        raise _Refused("an array without content")
-    if not all(type(n) is int and n >= 0 for n in shape):
-        raise _Refused("an array of impossible shape")
-    if math.prod(shape) * data_type.dtype.itemsize != len(content):
-        raise _Refused("an array whose content is of another size")
-    return np.frombuffer(content, data_type.dtype).reshape(shape, order=order)
-
-
-_CALLS: dict[str, Callable[..., Any]] = {
-    "numpy.dtype": _data_type,
-    "_codecs.encode": _bytes,
-    "__builtin__.bytes": _no_bytes,
-    **{f"{numpy}.multiarray._reconstruct": _reconstructed for numpy in NUMPY},
-    **{f"{numpy}.multiarray.scalar": _scalar for numpy in NUMPY},
-    **{f"{numpy}.numeric._frombuffer": _from_buffer for numpy in NUMPY},
-}
-"""What stands for the functions that pickles of arrays name."""
-
-_KNOWN = (
-    *_CALLS,
-    "numpy.ndarray",
-    "copyreg._reconstructor",
-    "copy_reg._reconstructor",
-    "builtins.object",
-    "__builtin__.object",
-)

@@ -9,7 +9,13 @@ import pytest
 
 from bask_data.dataset import Dataset
 from bask_data.export import ExportSettings, export
-from tests.export.encoded import ACTIONS, Demo, picture
+from bask_data.formats import FORMATS
+from bask_data.formats.options.robomimic import RobomimicOptions
+from bask_data.kinds import Demonstration
+from bask_data.sources.ingest import ingest
+from tests.export.encoded import ACTIONS, Demo, picture, seen_demo
+
+FORMAT = next(format for format in FORMATS if format.name == "robomimic")
 
 
 @pytest.fixture(scope="module")
@@ -79,3 +85,53 @@ def test_actions_out_of_robomimics_range_are_noted(tmp_path: Path) -> None:
     assert export(dataset, tmp_path / "out.hdf5", "robomimic", ExportSettings()).notes == [
         "robomimic expects actions from -1 to 1; the largest magnitude is 3.5."
     ]
+
+
+def test_what_cameras_adds_comes_back_with_the_same_numbers(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    demos = {"a": seen_demo(0), "b": seen_demo(1)}
+    demos["b"].origin = (400_000.0, 5_000_000.0, 200.0)
+    for name, demo in demos.items():
+        demo.publish(dataset, name)
+    export(dataset, tmp_path / "out.hdf5", "robomimic", ExportSettings(cameras=True))
+    again = Dataset.create(tmp_path / "again")
+    for i, (name, demo) in enumerate(demos.items()):
+        options = RobomimicOptions(episode=f"demo_{i}")
+        ingest(again.root, name, format=FORMAT, source=tmp_path / "out.hdf5", options=options, kind="demonstration")
+        read = Demonstration(again.path(Demonstration, name))
+        before = Demonstration(dataset.path(Demonstration, name))
+        camera, original = read.camera("wrist"), before.camera("wrist")
+        assert camera.depth_scale == original.depth_scale
+        for frame in range(camera.n_frames):
+            np.testing.assert_array_equal(camera.rgb(frame), original.rgb(frame))
+            np.testing.assert_array_equal(camera.depth_raw(frame), original.depth_raw(frame))
+        np.testing.assert_array_equal(camera.Ks, original.Ks)
+        np.testing.assert_array_equal(camera.time, original.time)
+        shift = np.subtract(demo.origin, read.metadata.origin)
+        moved = original.world_from_cameras.copy()
+        moved[:, :3, 3] += shift
+        np.testing.assert_allclose(camera.world_from_cameras, moved, atol=1e-9)
+        assert read.robot is not None and demo.robot is not None
+        np.testing.assert_allclose(read.robot.world_from_gripper[:, :3, :3], demo.robot.world_from_gripper[:, :3, :3])  # type: ignore[index]
+        np.testing.assert_array_equal(read.robot.gripper_width, demo.robot.gripper_width)
+        np.testing.assert_array_equal(read.robot.action, demo.robot.action)
+        assert read.robot.action_names == ACTIONS
+
+
+def test_robomimic_finds_depth_and_camera_info_where_it_writes_them(tmp_path: Path) -> None:
+    dataset, demo = Dataset.create(tmp_path / "d"), seen_demo()
+    demo.cameras = ("robot0_eye_in_hand", "agentview")
+    demo.observed = dict.fromkeys(demo.cameras, demo.observed["wrist"])
+    demo.publish(dataset, "a")
+    export(dataset, tmp_path / "out.hdf5", "robomimic", ExportSettings(cameras=True))
+    with h5py.File(tmp_path / "out.hdf5") as read:
+        group = read["data/demo_0"]
+        depth = group["obs/agentview_depth"]
+        assert (depth.shape, depth.dtype) == ((len(demo.time), *demo.size, 1), np.float32)
+        np.testing.assert_allclose(depth[2, ..., 0], demo.depth[2] * demo.depth_scale, rtol=1e-6)
+        info = json.loads(group.attrs["camera_info"])
+    np.testing.assert_array_equal(info["agentview"]["extrinsics"], demo.world_from_cameras[0])
+    np.testing.assert_array_equal(info["agentview"]["intrinsics"], demo.K[0])
+    gripper = demo.robot.world_from_gripper[0]  # type: ignore[union-attr, index]
+    hand = np.array(info["robot0_eye_in_hand"]["extrinsics"])
+    np.testing.assert_allclose(hand @ gripper, demo.world_from_cameras[0], atol=1e-12)
