@@ -57,6 +57,10 @@ EXAMPLES = {
     bask-data ingest polycam captures/shelf.zip data/demo --scene shelf
     bask-data ingest polycam captures/shelf data/demo --scene shelf --confidence 54
     """,
+    "record3d": """
+    bask-data ingest record3d 2024-05-17--10-12-30.r3d data/demo --scene desk
+    bask-data ingest record3d EXR_RGBD data/demo --scene desk --frames ::10 --skip-bad
+    """,
     "stray": """
     bask-data ingest stray recordings/71de12f9 data/demo --scene desk --confidence 1 --frames ::6
     """,

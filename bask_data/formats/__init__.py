@@ -27,6 +27,7 @@ from bask_data.formats.options.lerobot import LerobotOptions
 from bask_data.formats.options.maniskill import ManiskillOptions
 from bask_data.formats.options.nerfstudio import NerfstudioOptions
 from bask_data.formats.options.polycam import PolycamOptions
+from bask_data.formats.options.record3d import Record3dOptions
 from bask_data.formats.options.rlbench import RlbenchOptions
 from bask_data.formats.options.robomimic import RobomimicOptions
 from bask_data.formats.options.scannet import ScannetOptions
@@ -105,6 +106,12 @@ FORMATS = (
         "Raw data of a Polycam LiDAR capture: keyframes with images, depth, confidence, cameras.",
         PolycamOptions,
         "The exported folder, which holds keyframes, or the zip file.",
+    ),
+    Format(
+        "record3d",
+        "A recording of the iPhone app Record3D: .r3d, or an export of EXR and JPG images.",
+        Record3dOptions,
+        "The .r3d file, or the folder of its content or of the export.",
     ),
     Format(
         "stray",
