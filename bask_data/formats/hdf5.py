@@ -10,9 +10,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from importlib import import_module
-from itertools import product
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +19,7 @@ from numpy import ndarray
 
 from bask_data.errors import BadData, imported
 from bask_data.formats.files import listed, natural
+from bask_data.formats.hdf5_storage import DEFLATE, check_chunks, check_storage, filters_of
 
 MAX_BLOCK_BYTES = 256 * 2**20
 """Largest frame, chunk or whole array that is decoded, bytes, by its declared size: an image of 80 megapixels, or poses
@@ -37,13 +36,6 @@ MAX_HOPS = 16
 
 MAX_ATTRIBUTE_CHARACTERS = 64 * 2**20
 """Longest text attribute that is parsed, characters."""
-
-MAX_STORED_BYTES = 2**20
-"""Stored size above which a deflated chunk is unpacked against a limit first, bytes: 1 MB can become 1 GB, and HDF5
-allocates as much as comes out, not as much as the chunk declares."""
-
-FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "scaleoffset", 32000: "lzf"}
-"""Filters that HDF5 and h5py bring with them, by number."""
 
 KINDS = {"b": "booleans", "i": "integers", "u": "unsigned integers", "f": "floating-point numbers"}
 
@@ -163,8 +155,8 @@ class Hdf5File:
     def read(self, place: str, dataset: Any, rows: slice | tuple[()]) -> ndarray:
         """Values of a data set, all or of some rows; `BadData` if they cannot be decoded."""
         with self._readable(place):
-            if dataset.chunks and 1 in self._filters(dataset):
-                self._check_chunks(place, dataset, rows)
+            if dataset.chunks and DEFLATE in filters_of(dataset):
+                check_chunks(self.path, place, dataset, rows)
             values: ndarray = np.asarray(dataset[rows])
         return values
 
@@ -217,7 +209,7 @@ class Hdf5File:
         if not isinstance(dataset, self._h5py.Dataset):
             raise BadData(self.path, place, expected="a data set", got="a group")
         with self._readable(place):
-            self._check_storage(place, dataset)
+            check_storage(self._h5py, self.path, place, dataset)
             actual, dtype = dataset.shape, dataset.dtype
         if dtype.kind not in kinds or dtype.itemsize > 8:
             wanted = " or ".join(KINDS[kind] for kind in kinds)
@@ -230,49 +222,6 @@ class Hdf5File:
             if (n_bytes := math.prod(size) * dtype.itemsize) > MAX_BLOCK_BYTES:
                 raise self._too_large(place, n_bytes)
         return dataset
-
-    def _check_storage(self, place: str, dataset: Any) -> None:
-        """Refuse values that are not in this file, or that no installed filter decodes."""
-        made = dataset.id.get_create_plist()
-        if made.get_layout() == self._h5py.h5d.VIRTUAL or made.get_external_count():
-            got = "external storage" if made.get_external_count() else "a virtual data set"
-            fix = "copy the content into one file with h5py: new[place] = old[place][...]."
-            raise BadData(self.path, place, expected="values stored in this file", got=got, fix=fix)
-        filters = self._filters(dataset)
-        repeated = [number for number in filters if filters.count(number) > 1]
-        if repeated:
-            raise BadData(self.path, place, expected="each filter once", got=f"filters {filters}")
-        for number in filters:
-            if number not in FILTERS and not self._h5py.h5z.filter_avail(number):
-                # Most plug-ins come with this package, which registers them when it is imported.
-                with suppress(ImportError):
-                    import_module("hdf5plugin")
-            if not self._h5py.h5z.filter_avail(number):
-                got = f"filter {number} {FILTERS.get(number, '')}".strip()
-                fix = "pip install hdf5plugin, or rewrite the file: h5repack -f GZIP=4 OLD NEW."
-                raise BadData(self.path, place, expected="an HDF5 filter that is installed", got=got, fix=fix)
-
-    def _filters(self, dataset: Any) -> list[int]:
-        made = dataset.id.get_create_plist()
-        return [made.get_filter(i)[0] for i in range(made.get_nfilters())]
-
-    def _check_chunks(self, place: str, dataset: Any, rows: slice | tuple[()]) -> None:
-        """Refuse deflated chunks that unpack to more than they declare."""
-        n_declared = math.prod(dataset.chunks) * dataset.dtype.itemsize
-        n_rows = dataset.shape[0]
-        first, end, _ = rows.indices(n_rows) if isinstance(rows, slice) else (0, n_rows, 1)
-        axes = (range(first, end), *(range(n) for n in dataset.shape[1:]))
-        for corner in product(*(axis[::step] for axis, step in zip(axes, dataset.chunks, strict=True))):
-            begin = tuple(at - at % step for at, step in zip(corner, dataset.chunks, strict=True))
-            if dataset.id.get_chunk_info_by_coord(begin).size <= MAX_STORED_BYTES:
-                continue
-            skipped, stored = dataset.id.read_direct_chunk(begin)
-            if skipped:
-                continue
-            # A checksum of four bytes may follow the values.
-            if len(zlib.decompressobj().decompress(stored, n_declared + 5)) > n_declared + 4:
-                expected = f"{n_declared} bytes, the chunk's size"
-                raise BadData(self.path, f"{place} at {begin}", expected=expected, got="more when unpacked")
 
     def _too_large(self, place: str, n_bytes: int) -> BadData:
         expected = f"at most {MAX_BLOCK_BYTES // 2**20} MiB at once"

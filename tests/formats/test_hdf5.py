@@ -10,7 +10,7 @@ import pytest
 from numpy import ndarray
 
 from bask_data.errors import BadData
-from bask_data.formats import hdf5
+from bask_data.formats import hdf5_storage
 from bask_data.formats.hdf5 import Hdf5File
 
 VALUES = np.arange(5 * 6 * 4, dtype=np.float32).reshape(5, 6, 4)
@@ -125,7 +125,7 @@ def test_sizes_are_bounded_before_anything_is_read(tmp_path: Path) -> None:
 def test_a_chunk_that_unpacks_to_more_than_it_declares_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hdf5, "MAX_STORED_BYTES", 500)
+    monkeypatch.setattr(hdf5_storage, "MAX_STORED_BYTES", 500)
     with h5py.File(tmp_path / "a.h5", "w") as file:
         bomb = file.create_dataset("bomb", (4, 32, 32), "u1", chunks=(2, 32, 32), compression="gzip")
         noise = np.random.default_rng(0).integers(0, 256, (2, 32, 32), dtype=np.uint8)
