@@ -50,7 +50,7 @@ def _view(where: str, entry: Any) -> StatedCamera:
             camera_from_world = np.eye(4)
             camera_from_world[:3, :3] = np.array(rotation, np.float64).reshape(3, 3)
             camera_from_world[:3, 3] = np.array(translation, np.float64).reshape(3) / 1000
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise BadData(
             where, "", expected="cam_K, depth_scale, cam_R_w2c and cam_t_w2c as numbers", got=repr(error)
         ) from error

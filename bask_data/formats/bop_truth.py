@@ -66,7 +66,7 @@ def read_annotations(folder: Folder, relative: str) -> tuple[dict[int, list[Anno
     document = read_json(path)
     try:
         return {int(key): [_annotation(entry) for entry in entries] for key, entries in document.items()}, (path,)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         expected = "obj_id, cam_R_m2c and cam_t_m2c of the objects in each image"
         raise BadData(path, "", expected=expected, got=repr(error)) from error
 

@@ -72,7 +72,7 @@ def _instance_names(folder: Folder) -> tuple[dict[int, str], list[Path]]:
     try:
         groups = document["segGroups"]
         names = {int(group["objectId"]) + 1: str(group["label"]) for group in groups}
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise BadData(path, "segGroups", expected="objectId and label in each", got=repr(error)) from error
     counts: dict[str, int] = {}
     for label, name in sorted(names.items()):

@@ -15,6 +15,7 @@ from numpy import ndarray
 from bask_data.core.geometry import rigid_fault
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData
+from bask_data.formats.bop_truth import LARGEST_LABEL
 from bask_data.formats.files import Folder, frame_number, listed, paired
 from bask_data.formats.images import image_header, read_color, read_labels
 from bask_data.formats.intrinsics import intrinsics_matrix
@@ -175,7 +176,11 @@ def _read_meta(path: Path) -> _Meta:
 
 def _objects(path: Path, arrays: dict[str, ndarray]) -> dict[int, Float[ndarray, "4 4"]]:
     """camera_from_object by class. MATLAB drops the last dimension of the poses of one object."""
-    classes = [int(value) for value in arrays.get("cls_indexes", np.zeros(0)).ravel()]
+    indexes = arrays.get("cls_indexes", np.zeros(0)).ravel()
+    if not np.isin(indexes, np.arange(1, LARGEST_LABEL + 1)).all():
+        got = listed([f"{value:g}" for value in indexes])
+        raise BadData(path, "cls_indexes", expected=f"whole numbers from 1 to {LARGEST_LABEL}", got=got)
+    classes = indexes.astype(int).tolist()
     poses = arrays.get("poses", np.zeros(0))
     if poses.size != 12 * len(classes) or poses.shape[:2] not in ((3, 4), (0,), (0, 0)):
         raise BadData(path, "poses", expected=f"3x4x{len(classes)}, as cls_indexes", got=f"{poses.shape}")

@@ -196,6 +196,7 @@ def test_an_image_without_a_camera_is_refused_unless_it_may_be_left_out(tmp_path
         ("cam_K", [1, 2, 3], "image 5: intrinsics: expected 4 numbers"),
         ("cam_K", "x", "image 5: expected cam_K, depth_scale, cam_R_w2c and cam_t_w2c as numbers"),
         ("depth_scale", 0, "depth_scale: expected millimetres per unit, more than 0"),
+        ("depth_scale", 10**400, "image 5: expected cam_K"),
         ("cam_R_w2c", [1, 2], "image 5: expected cam_K"),
         ("cam_R_w2c", [1] * 9, "image 5: pose: expected a rigid transform"),
     ],

@@ -107,6 +107,7 @@ def test_a_frame_without_its_file_is_refused_unless_it_may_be_left_out(tmp_path:
     [
         ({"rotation_translation_matrix": None}, "rotation_translation_matrix: expected 12 numbers, got none.*data_syn"),
         ({"rotation_translation_matrix": np.zeros((3, 4))}, "pose: expected a rigid transform"),
+        ({"cls_indexes": np.array([np.nan, 8])}, "cls_indexes: expected whole numbers from 1 to 254, got nan, 8"),
         ({"factor_depth": 0.0}, "factor_depth: expected units per metre"),
         ({"intrinsic_matrix": np.eye(2)}, "intrinsic_matrix: expected 9 numbers, got 4"),
         (
