@@ -77,6 +77,7 @@ def read(source: Path, options: ArkitscenesOptions) -> SourceRecording:
         confidence=depth.read_confidence if depth.confidence else None,
         faults={**poses.why, **no_depth, **faults},
         expected=expected,
+        intrinsics_size=f"{size[1]}x{size[0]}",
         pose_places=tuple(f"{poses.path}: time {time:.3f}" for time in color.time),
     )
     return SourceRecording(

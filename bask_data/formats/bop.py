@@ -110,6 +110,8 @@ def _read_scene(folder: Folder, prefix: str, options: BopOptions) -> SourceRecor
         labels=truth.labels,
         faults={names.index(name): fault for name, fault in faults.items()},
         pose_places=tuple(f"{camera_file}: image {i_image}" for i_image in ids),
+        # T-LESS has crops, whose principal points are anywhere: K of each image is known to be for its size.
+        intrinsics_size=f"{size[1]}x{size[0]}",
     )
     return SourceRecording(
         cameras=(camera,),
