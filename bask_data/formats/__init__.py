@@ -35,7 +35,7 @@ from bask_data.formats.options.stray import StrayOptions
 from bask_data.formats.options.tum import TumOptions
 
 if TYPE_CHECKING:
-    from bask_data.formats.recording import PreparedRecording
+    from bask_data.formats.recording import PreparedRecording, SourceRecording
 
 
 @dataclass(frozen=True)
@@ -51,17 +51,23 @@ class Format:
     options: type[SourceOptions]
     wants: str = "The recording's folder."
 
-    def read(self, source: Path, options: SourceOptions) -> PreparedRecording:
-        """The recording at `source`, ready to be written.
+    def opened(self, source: Path, options: SourceOptions) -> SourceRecording:
+        """The recording at `source` with its labels: which files it has, before anything that takes long.
 
         Raises:
             BadData: a file is missing, corrupted, or contradicts the options.
             UsageError: `source` is not what the format needs, or an option is missing or invalid.
             MissingDependency: a library that decodes the format is not installed.
         """
+        from bask_data.formats.label_files import with_labels
+
+        return with_labels(source, self._reader.read(source, options), options)
+
+    def read(self, source: Path, options: SourceOptions) -> PreparedRecording:
+        """The recording at `source`, ready to be written; raises as `opened` does."""
         from bask_data.formats.prepare import prepared
 
-        return prepared(source, self._reader.read(source, options), options)
+        return prepared(source, self.opened(source, options), options)
 
     def episodes(self, source: Path, options: SourceOptions) -> tuple[str, ...]:
         """Names of the recordings at `source`; empty for a format that holds one."""

@@ -17,7 +17,6 @@ from bask_data.formats.agreement import agreement
 from bask_data.formats.alignment import AlignedFrames, aligned
 from bask_data.formats.bad_frames import Bad, bad_frames, chosen_frames, refuse
 from bask_data.formats.files import listed
-from bask_data.formats.label_files import with_labels
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.poses import is_rounded, rigid
 from bask_data.formats.recording import (
@@ -43,7 +42,8 @@ def prepared(source: Path, recording: SourceRecording, options: SourceOptions) -
     Raises:
         BadData: frames cannot be used, and `options.skip_bad` is not set; or no two parts fit together.
     """
-    recording = with_labels(source, recording, options)
+    if recording.completed is not None:
+        recording = recording.completed(recording)
     chosen = {camera.name: chosen_frames(camera, options.frames) for camera in recording.cameras}
     bad = [fault for camera in recording.cameras for fault in bad_frames(camera, chosen[camera.name], options)]
     refused = [fault for fault in bad if not fault.is_expected]

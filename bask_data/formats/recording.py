@@ -143,6 +143,8 @@ class SourceRecording:
         assumptions: what the files do not state, in words; printed, and stored in the recording.
         files: all source files that were used, for the digest.
         object_poses: ground-truth poses by label.
+        completed: what takes long to compute, if anything does: from this recording, with its labels, the whole one. It
+            is called only if the recording has to be written, and changes neither files nor the frames' names.
     """
 
     cameras: tuple[SourceCamera, ...]
@@ -151,6 +153,12 @@ class SourceRecording:
     assumptions: dict[str, str]
     files: tuple[Path, ...]
     object_poses: dict[int, ObjectPose] = field(default_factory=dict)
+    completed: Callable[[SourceRecording], SourceRecording] | None = None
+
+    @property
+    def has_labels(self) -> bool:
+        """Whether any camera has labels."""
+        return any(camera.labels for camera in self.cameras)
 
 
 @dataclass(frozen=True)

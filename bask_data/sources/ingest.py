@@ -15,6 +15,7 @@ from bask_data.engine import Origin, Outcome, progress, scratches
 from bask_data.errors import BadData
 from bask_data.formats import Format
 from bask_data.formats.options.common import SourceOptions
+from bask_data.formats.prepare import prepared
 from bask_data.kinds import CameraFrames, Demonstration, Recording, Robot, Scan, Truth
 from bask_data.kinds.cameras import LensModel
 from bask_data.sources.recordings import is_current, published_recording, refuse_other_scope, undone_if_new, up_to_date
@@ -52,15 +53,16 @@ def ingest(
     check_name(item, f"ingest {format.name}", "--scene")
     dataset = Dataset.open_if_any(root)
     refuse_other_scope(dataset, makes, item, "choose another --scene.")
-    read = format.read(source, options)
-    key = _key(makes, format, options, source, read)
+    opened = format.opened(source, options)
+    key = _key(makes, format, options, source, opened)
     fix = "choose another --scene, or pass --force."
-    if not force and is_current(root, makes, item, key, fix, read.has_labels):
+    if not force and is_current(root, makes, item, key, fix, opened.has_labels):
         # A kill between publishing and listing leaves a recording that is not in `dataset.json`.
         dataset = dataset or Dataset.open_or_create(root)
         if item not in dataset.items(makes.scope):
-            _enter(dataset, item, format, source, options, makes, read)
+            _enter(dataset, item, format, source, options, makes, opened.has_labels)
         return [up_to_date(root, makes, item)], {}
+    read = prepared(source, opened, options)
     with undone_if_new(root):
         dataset = dataset or Dataset.open_or_create(root)
         return _write(dataset, item, format, source, options, makes, read, key), read.assumptions
@@ -81,7 +83,7 @@ def _write(
         f"ingest {format.name}",
         INGEST_VERSION,
         options.model_dump(mode="json"),
-        {"source": _source_digest(source, read)},
+        {"source": _source_digest(source, read.files)},
         key,
     )
     with scratches(dataset.root, [Truth, makes] if read.has_labels else [makes]) as written:
@@ -89,7 +91,7 @@ def _write(
             _write_truth(written[Truth], read)
         _write_recording(written[makes], makes, format, read)
         outcomes = published_recording(dataset, item, written, origin, begun)
-    _enter(dataset, item, format, source, options, makes, read)
+    _enter(dataset, item, format, source, options, makes, read.has_labels)
     return outcomes
 
 
@@ -100,23 +102,23 @@ def _enter(
     source: Path,
     options: SourceOptions,
     makes: type[Recording],
-    read: recording.PreparedRecording,
+    has_labels: bool,
 ) -> None:
     """Enter a published recording in `dataset.json`."""
-    if not read.has_labels:
+    if not has_labels:
         # Otherwise the labels of a replaced recording would count as ground truth of this one.
         shutil.rmtree(dataset.path(Truth, item), ignore_errors=True)
     path = os.path.relpath(source.resolve(), dataset.root.resolve())
     changed = options.model_dump(mode="json", exclude_defaults=True)
-    dataset.add(makes.scope, item, Source(format=format.name, path=path, options=changed, truth=read.has_labels))
+    dataset.add(makes.scope, item, Source(format=format.name, path=path, options=changed, truth=has_labels))
 
 
-def _source_digest(source: Path, read: recording.PreparedRecording) -> str:
-    return digest_of({os.path.relpath(file, source): file_digest(file) for file in read.files})
+def _source_digest(source: Path, files: tuple[Path, ...]) -> str:
+    return digest_of({os.path.relpath(file, source): file_digest(file) for file in files})
 
 
 def _key(
-    makes: type[Recording], format: Format, options: SourceOptions, source: Path, read: recording.PreparedRecording
+    makes: type[Recording], format: Format, options: SourceOptions, source: Path, opened: recording.SourceRecording
 ) -> str:
     return digest_of(
         {
@@ -125,7 +127,7 @@ def _key(
             "stage": f"ingest {format.name}",
             "version": INGEST_VERSION,
             "params": options.model_dump(mode="json"),
-            "source": _source_digest(source, read),
+            "source": _source_digest(source, opened.files),
         }
     )
 

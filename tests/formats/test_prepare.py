@@ -9,6 +9,7 @@ import pytest
 
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData, UsageError
+from bask_data.formats.label_files import with_labels
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.prepare import prepared
 from bask_data.formats.recording import ObjectPose, PreparedRecording, RobotRecording, SourceCamera, SourceRecording
@@ -36,7 +37,8 @@ def recording_of(camera: SourceCamera, **changes: Any) -> SourceRecording:
 
 
 def prepare(camera: SourceCamera, folder: Path = Path(), **options: Any) -> PreparedRecording:
-    return prepared(folder, recording_of(camera), SourceOptions(**options))
+    given = SourceOptions(**options)
+    return prepared(folder, with_labels(folder, recording_of(camera), given), given)
 
 
 def test_frames_that_need_nothing_stay_as_they_are() -> None:
