@@ -40,6 +40,10 @@ EXAMPLES = {
     bask-data ingest lerobot pour data/demo --scene pour --as demonstration --episode all --intrinsics wrist.txt
     bask-data ingest lerobot exported data/again --scene demo0 --as demonstration --episode 0
     """,
+    "colmap": """
+    bask-data ingest colmap recordings/shelf data/demo --scene shelf --align-to robot_poses.json
+    bask-data ingest colmap recordings/phone data/demo --scene desk --intrinsics 615,615,319.5,239.5
+    """,
     "apc": """
     bask-data ingest apc datasets/apc_shelf data/demo --scene shelf
     """,

@@ -100,6 +100,10 @@ PANELS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
             "column_major",
         ),
     },
+    "colmap": {
+        EVERYDAY: ("camera", "model", "images", "depth", "intrinsics", "align_to", "fps", "frames"),
+        "Conventions of the files": ("depth_scale", "invalid_depth", "intrinsics_size"),
+    },
     "sim": {
         EVERYDAY: ("seed", "cameras", "frames", "height", "width"),
         "Scene": ("background_seed", "clutter", "finished", "distance_spread", "gripper_in_view"),

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from bask_data.formats.options.apc import ApcOptions
 from bask_data.formats.options.arkitscenes import ArkitscenesOptions
 from bask_data.formats.options.bop import BopOptions
+from bask_data.formats.options.colmap import ColmapOptions
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.options.frames import FramesOptions
 from bask_data.formats.options.lerobot import LerobotOptions
@@ -123,6 +124,12 @@ FORMATS = (
         "stray",
         "A recording of the iPhone app Stray Scanner: rgb.mp4, depth, confidence, odometry.csv.",
         StrayOptions,
+    ),
+    Format(
+        "colmap",
+        "Images with depth and a COLMAP model; or without poses, which COLMAP then finds. Depth gives the scale.",
+        ColmapOptions,
+        "The folder with images, depth, and the model if there is one.",
     ),
     Format("apc", "A MIT-Princeton APC scene: bit-rotated depth, poses, labels where there are any.", ApcOptions),
     Format(

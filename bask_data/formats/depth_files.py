@@ -17,6 +17,9 @@ from bask_data.formats.files import MAX_IMAGE_BYTES, read_bytes, read_head
 from bask_data.formats.images import MAX_PIXELS, decode, image_header, read_depth
 from bask_data.formats.recording import Depth
 
+SCALE_OF_WHOLE_NUMBERS, SCALE_OF_FLOAT = 0.001, 1.0
+"""Metres per unit of depth unless stated: most cameras give millimetres, and most scripts save metres."""
+
 EXR_SIGNATURE = b"v/1\x01"
 
 NOTHING_BEYOND = 1e9

@@ -12,6 +12,7 @@ from numpy import ndarray
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData
 from bask_data.formats.cloud_files import LARGEST_RESIDUAL, CloudFiles
+from bask_data.formats.depth_files import SCALE_OF_FLOAT, SCALE_OF_WHOLE_NUMBERS
 from bask_data.formats.files import Folder, paired
 from bask_data.formats.frames_poses import FramePoses, poses_of_files, poses_of_trajectory
 from bask_data.formats.frames_times import BY_NAME, frame_times, in_order_of_time
@@ -22,9 +23,6 @@ from bask_data.formats.poses import UNIT_NAMES, other_readings, to_world_from_ca
 from bask_data.formats.recording import Depth, SourceCamera
 
 DEFAULT_COLOR = FramesOptions.model_fields["color"].default
-
-SCALE_OF_WHOLE_NUMBERS, SCALE_OF_FLOAT = 0.001, 1.0
-"""Metres per unit of depth unless stated: most cameras give millimetres, and most scripts save metres."""
 
 
 @dataclass(frozen=True)
