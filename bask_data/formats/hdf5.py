@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,11 +20,14 @@ from numpy import ndarray
 
 from bask_data.errors import BadData, imported
 from bask_data.formats.files import listed, natural
-from bask_data.formats.hdf5_storage import DEFLATE, check_chunks, check_storage, filters_of
+from bask_data.formats.hdf5_storage import check_chunks, check_storage, large_chunks
 
 MAX_BLOCK_BYTES = 256 * 2**20
 """Largest frame, chunk or whole array that is decoded, bytes, by its declared size: an image of 80 megapixels, or poses
 of two million frames. Keeps wrong files from filling memory."""
+
+MAX_KEPT_BYTES = 64 * 2**20
+"""Decoded blocks of frames of one data set that are kept, bytes, but always one. Sensitivity not measured."""
 
 MAX_FRAMES = 2_000_000
 """Most rows of a data set: 18 hours at 30 frames per second. A file may declare any number without storing one."""
@@ -43,7 +47,8 @@ KINDS = {"b": "booleans", "i": "integers", "u": "unsigned integers", "f": "float
 class StoredFrames:
     """A data set whose first axis is frames, read one at a time, cheapest in ascending order.
 
-    Chunks that hold several frames are decoded once: the block of frames around the last one is kept.
+    Chunks that hold several frames are decoded once, as a block of frames. The last blocks are kept, so that a look at
+    some frames of a short recording does not decode it twice.
     """
 
     def __init__(self, file: Hdf5File, place: str, dataset: Any) -> None:
@@ -51,20 +56,26 @@ class StoredFrames:
         self.shape: tuple[int, ...] = dataset.shape
         self.dtype: np.dtype = dataset.dtype
         self._file, self._dataset = file, dataset
+        self._large = large_chunks(dataset)
         chunks = dataset.chunks or (1,)
         frame = math.prod(self.shape[1:]) * self.dtype.itemsize
         self._n_block = chunks[0] if chunks[0] * frame <= MAX_BLOCK_BYTES else 1
-        self._begin, self._block = 0, np.zeros((0,))
+        self._n_kept = max(1, MAX_KEPT_BYTES // max(1, self._n_block * frame))
+        self._blocks: OrderedDict[int, ndarray] = OrderedDict()
 
     def __len__(self) -> int:
         return self.shape[0]
 
     def __call__(self, i: int) -> ndarray:
         """A frame's values; `BadData` if they cannot be decoded."""
-        if not self._begin <= i < self._begin + len(self._block):
-            self._begin = i - i % self._n_block
-            self._block = self._file.read(self.place, self._dataset, slice(self._begin, self._begin + self._n_block))
-        return self._block[i - self._begin]
+        begin = i - i % self._n_block
+        if begin not in self._blocks:
+            if len(self._blocks) >= self._n_kept:
+                self._blocks.popitem(last=False)
+            rows = range(begin, begin + self._n_block)
+            self._blocks[begin] = self._file.read(self.place, self._dataset, self._large, rows)
+        self._blocks.move_to_end(begin)
+        return self._blocks[begin][i - begin]
 
 
 class Hdf5File:
@@ -132,7 +143,7 @@ class Hdf5File:
             n_bytes = dataset.size * dataset.dtype.itemsize
         if n_bytes > MAX_BLOCK_BYTES:
             raise self._too_large(place, n_bytes)
-        return self.read(place, dataset, ())
+        return self.read(place, dataset, large_chunks(dataset))
 
     def frames(self, place: str, shape: tuple[int | None, ...], kinds: str = "f") -> StoredFrames:
         """A data set over frames.
@@ -152,12 +163,12 @@ class Hdf5File:
         """Shape of a data set; `BadData` if there is none."""
         return self._dataset(place, None, "biuf").shape
 
-    def read(self, place: str, dataset: Any, rows: slice | tuple[()]) -> ndarray:
+    def read(self, place: str, dataset: Any, large: set[tuple[int, ...]], rows: range | None = None) -> ndarray:
         """Values of a data set, all or of some rows; `BadData` if they cannot be decoded."""
         with self._readable(place):
-            if dataset.chunks and DEFLATE in filters_of(dataset):
-                check_chunks(self.path, place, dataset, rows)
-            values: ndarray = np.asarray(dataset[rows])
+            if large:
+                check_chunks(self.path, place, dataset, large, rows or range(dataset.shape[0]))
+            values: ndarray = np.asarray(dataset[rows.start : rows.stop] if rows else dataset[()])
         return values
 
     def _found(self, place: str) -> Any:

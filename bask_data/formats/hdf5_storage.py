@@ -1,4 +1,4 @@
-"""Where an HDF5 data set's values lie and how they are packed: refused unless in the file itself and within its chunks."""
+"""Where values of an HDF5 file lie and how they are packed: refused unless in the file itself and within its chunks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 import zlib
 from contextlib import suppress
 from importlib import import_module
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -51,20 +50,26 @@ def filters_of(dataset: Any) -> list[int]:
     return [made.get_filter(i)[0] for i in range(made.get_nfilters())]
 
 
-def check_chunks(path: Path, place: str, dataset: Any, rows: slice | tuple[()]) -> None:
-    """Refuse deflated chunks that unpack to more than they declare."""
+def large_chunks(dataset: Any) -> set[tuple[int, ...]]:
+    """Where chunks begin that may unpack to much more than they declare; to be checked before they are read."""
+    large: set[tuple[int, ...]] = set()
+    if dataset.chunks is None or DEFLATE not in filters_of(dataset):
+        return large
+    if dataset.id.get_storage_size() > MAX_STORED_BYTES:
+        # The function goes on as long as it returns None.
+        dataset.id.chunk_iter(
+            lambda chunk: large.add(tuple(chunk.chunk_offset)) if chunk.size > MAX_STORED_BYTES else None
+        )
+    return large
+
+
+def check_chunks(path: Path, place: str, dataset: Any, large: set[tuple[int, ...]], rows: range) -> None:
+    """Refuse chunks with any of the rows that unpack to more than they declare; those that do not leave `large`."""
     n_declared = math.prod(dataset.chunks) * dataset.dtype.itemsize
-    n_rows = dataset.shape[0]
-    first, end, _ = rows.indices(n_rows) if isinstance(rows, slice) else (0, n_rows, 1)
-    axes = (range(first, end), *(range(n) for n in dataset.shape[1:]))
-    for corner in product(*(axis[::step] for axis, step in zip(axes, dataset.chunks, strict=True))):
-        begin = tuple(at - at % step for at, step in zip(corner, dataset.chunks, strict=True))
-        if dataset.id.get_chunk_info_by_coord(begin).size <= MAX_STORED_BYTES:
-            continue
+    for begin in [at for at in large if at[0] < rows.stop and rows.start < at[0] + dataset.chunks[0]]:
         skipped, stored = dataset.id.read_direct_chunk(begin)
-        if skipped:
-            continue
         # A checksum of four bytes may follow the values.
-        if len(zlib.decompressobj().decompress(stored, n_declared + 5)) > n_declared + 4:
+        if not skipped and len(zlib.decompressobj().decompress(stored, n_declared + 5)) > n_declared + 4:
             expected = f"{n_declared} bytes, the chunk's size"
             raise BadData(path, f"{place} at {begin}", expected=expected, got="more when unpacked")
+        large.discard(begin)

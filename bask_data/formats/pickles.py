@@ -68,11 +68,12 @@ def read_pickle(path: Path, classes: tuple[str, ...] = ()) -> Any:
     """
     data = read_bytes(path, MAX_PICKLE_BYTES)
     reader = _Reader(classes)
+    actions = {opcode.name: getattr(reader, f"do_{opcode.name.lower()}", None) for opcode in pickletools.opcodes}
     try:
         for i, (opcode, argument, at) in enumerate(pickletools.genops(data)):
             if i >= MAX_OPCODES:
                 raise Refused(f"more than {MAX_OPCODES} operations")
-            act = getattr(reader, f"do_{opcode.name.lower()}", None)
+            act = actions[opcode.name]
             if act is None:
                 raise Refused(f"operation {opcode.name} at byte {at}")
             act(argument)

@@ -46,11 +46,11 @@ class Images:
 
     def numbers(self, i: int) -> UInt32[ndarray, "h w"]:
         """Numbers coded by colour, the first channel last: CoppeliaSim's object handles."""
-        return _numbers(self.files[i], (0, 1, 2))
+        return _numbers(self.files[i], 1)
 
     def codes(self, i: int) -> UInt32[ndarray, "h w"]:
         """Numbers coded by colour, the first channel first: depth."""
-        return _numbers(self.files[i], (2, 1, 0))
+        return _numbers(self.files[i], -1)
 
 
 def found_cameras(
@@ -154,15 +154,15 @@ def _depth(
     return read
 
 
-def _numbers(file: Path, channels: tuple[int, int, int]) -> UInt32[ndarray, "h w"]:
-    """Numbers of 24 bits, from the channels with the lowest bits first."""
+def _numbers(file: Path, order: int) -> UInt32[ndarray, "h w"]:
+    """Numbers of 24 bits whose lowest bits are in red for order 1, in blue for order -1."""
     data = read_bytes(file)
     header = image_header(file, data)
     if header.channels != 3:
         expected = "24-bit codes in three channels"
         raise BadData(file, "image", expected=expected, got=f"{header.channels} channels of {header.bits} bits")
     coded = np.zeros((header.height, header.width, 4), np.uint8)
-    coded[..., :3] = decode_color(file, data)[..., channels]
+    coded[..., :3] = decode_color(file, data)[..., ::order]
     numbers: UInt32[ndarray, "h w"] = coded.view("<u4")[..., 0]
     return numbers
 

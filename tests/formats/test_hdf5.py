@@ -10,7 +10,7 @@ import pytest
 from numpy import ndarray
 
 from bask_data.errors import BadData
-from bask_data.formats import hdf5_storage
+from bask_data.formats import hdf5, hdf5_storage
 from bask_data.formats.hdf5 import Hdf5File
 
 VALUES = np.arange(5 * 6 * 4, dtype=np.float32).reshape(5, 6, 4)
@@ -44,6 +44,20 @@ def test_frames_are_read_one_by_one_however_they_are_stored(tmp_path: Path, opti
     frames = Hdf5File(file).frames("a/values", (None, 6, 4), kinds="f")
     np.testing.assert_array_equal([frames(i) for i in (4, 0, 3, 1)], VALUES[[4, 0, 3, 1]])
     np.testing.assert_array_equal(Hdf5File(file).array("/a/values/", SHAPE), VALUES)
+
+
+def test_a_bounded_number_of_blocks_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = written(tmp_path / "a.h5", chunks=(2, 6, 4), compression="gzip")
+    monkeypatch.setattr(hdf5, "MAX_KEPT_BYTES", 2 * 2 * 6 * 4 * 4)
+    frames = Hdf5File(file).frames("a/values", SHAPE)
+    reads: list[range | None] = []
+    read = Hdf5File.read
+    monkeypatch.setattr(
+        Hdf5File, "read", lambda self, *arguments: reads.append(arguments[-1]) or read(self, *arguments)
+    )
+    for i in (0, 1, 2, 0, 3, 4, 0, 2):
+        np.testing.assert_array_equal(frames(i), VALUES[i])
+    assert [rows.start for rows in reads if rows] == [0, 2, 4, 0, 2]
 
 
 def test_members_are_listed_in_natural_order_without_hidden_ones(tmp_path: Path) -> None:
