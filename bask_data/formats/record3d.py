@@ -10,9 +10,9 @@ from numpy import ndarray
 
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData
-from bask_data.formats.alignment import scaled_lens
 from bask_data.formats.clock import seconds
 from bask_data.formats.json_values import array, number
+from bask_data.formats.lenses import scaled_lens
 from bask_data.formats.options.record3d import Record3dOptions
 from bask_data.formats.poses import OPENCV_FROM_OPENGL, parse_transform
 from bask_data.formats.record3d_files import Record3dFiles, record3d_files

@@ -130,17 +130,14 @@ class VideoFrames:
 
     @cached_property
     def _index(self) -> _Index:
-        """From the packets of the file, which is read once for it."""
+        """From the packets of the file, which is read once for it, before anything is decoded."""
         packets = []
-        with self._opened() as container:
-            stream = container.streams.video[0]
-            unit = Fraction(stream.time_base)
-            try:
-                for packet in container.demux(stream):
-                    if packet.size and not packet.is_discard:
-                        packets.append((packet.pts if packet.pts is not None else packet.dts, packet.is_keyframe))
-            except self._av.FFmpegError as error:
-                raise self._unreadable("a readable file", error) from error
+        try:
+            for packet in self._container.demux(self._stream):
+                if packet.size and not packet.is_discard:
+                    packets.append((packet.pts if packet.pts is not None else packet.dts, packet.is_keyframe))
+        except self._av.FFmpegError as error:
+            raise self._unreadable("a readable file", error) from error
         if not packets or any(pts is None for pts, _ in packets):
             raise BadData(
                 self.path,
@@ -153,7 +150,10 @@ class VideoFrames:
         pts, keys = zip(*packets, strict=True)
         if any(a == b for a, b in pairwise(pts)):
             raise BadData(self.path, "frames", expected="times that differ", got="two frames at one time")
-        return _Index(pts, keys, unit)
+        index = _Index(pts, keys, Fraction(self._stream.time_base))
+        # The file is at its end: as at the last frame, so that the first one is sought.
+        self._next = len(pts)
+        return index
 
     def _opened(self) -> Any:
         try:
