@@ -22,7 +22,7 @@ Change = Callable[[dict[str, Any]], object]
 
 def read(source: Path, **options: object) -> PreparedRecording:
     [format] = [item for item in FORMATS if item.name == "nerfstudio"]
-    return format.read(source, NerfstudioOptions(**options))
+    return format.read(source, NerfstudioOptions(**{"trust": True, **options}))
 
 
 def camera_of(source: Path, **options: object) -> CameraRecording:

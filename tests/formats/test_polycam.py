@@ -22,7 +22,7 @@ NAMES = ("900000", "1300000", "1700000", "2500000")
 
 def read(source: Path, **options: object) -> PreparedRecording:
     [format] = [item for item in FORMATS if item.name == "polycam"]
-    return format.read(source, PolycamOptions(**options))
+    return format.read(source, PolycamOptions(**{"trust": True, **options}))
 
 
 def camera_of(source: Path, **options: object) -> CameraRecording:

@@ -32,7 +32,7 @@ CONFIDENCE = np.random.default_rng(1).integers(0, 3, DEPTH[0].shape, dtype=np.ui
 
 def read(source: Path, **options: object) -> PreparedRecording:
     [format] = [item for item in FORMATS if item.name == "record3d"]
-    return format.read(source, Record3dOptions(**options))
+    return format.read(source, Record3dOptions(**{"trust": True, **options}))
 
 
 def camera_of(source: Path, **options: object) -> CameraRecording:

@@ -24,7 +24,7 @@ GREY = 40
 
 def read(source: Path, **options: object) -> PreparedRecording:
     [format] = [item for item in FORMATS if item.name == "stray"]
-    return format.read(source, StrayOptions(**options))
+    return format.read(source, StrayOptions(**{"trust": True, **options}))
 
 
 def camera_of(source: Path, **options: object) -> CameraRecording:
