@@ -29,6 +29,12 @@ IMAGE_SUFFIXES = ("", ".png", ".jpg", ".jpeg")
 DEPTH_KEYS = ("depth_file_path", "depth_path")
 """Where a frame names its depth, in nerfstudio and in Instant-NGP."""
 
+AXES = {
+    "opengl": "opengl: x right, y up, z backward; turned to OpenCV's",
+    "opencv": "opencv: x right, y down, z forward",
+}
+"""What is said of camera axes."""
+
 
 def read(source: Path, options: NerfstudioOptions) -> SourceRecording:
     """The frames that a file with transforms lists, sorted by their names or their time stamps."""
@@ -46,23 +52,25 @@ def read(source: Path, options: NerfstudioOptions) -> SourceRecording:
     lens = lens_of(path, table, frames, read_color(_there(color[first])).shape[:2])
     depth_size = depth.read(first).shape[:2]
     poses, world = _poses(path, table, frames, options.world)
+    by_axes = {"opengl": poses @ OPENCV_FROM_OPENGL, "opencv": poses}
     camera = SourceCamera(
         name=options.camera,
         frames=_names(path, frames),
         lens=lens,
-        world_from_cameras=poses @ OPENCV_FROM_OPENGL,
+        world_from_cameras=by_axes.pop(options.axes),
         time=time,
         color=lambda i: read_color(_there(color[i])),
         depth=depth.read,
         depth_scale=depth.scale,
         depth_lens=None if depth_size == lens.size else depth_lens_of(lens, depth_size),
         faults=faults,
+        otherwise={f"--axes {axes}": other for axes, other in by_axes.items()},
         pose_places=tuple(f"{path}: transform_matrix of {frame['file_path']}" for frame in frames),
     )
     per_frame = "differs from frame to frame" if lens.K.ndim == 3 else "one for all frames"
     assumptions = {
         "pose": "transform_matrix holds world_from_camera, taken to be in metres as depth is; the file does not say so",
-        "camera axes": "opengl: x right, y up, z backward; turned to OpenCV's",
+        "camera axes": AXES[options.axes],
         "world": world,
         "depth": f"z-depth, {depth.scale:g} m per unit, 0 = no measurement",
         "intrinsics": f"pinhole with pixel (0, 0) as a centre: 0.5 is subtracted from cx and cy; {per_frame}",

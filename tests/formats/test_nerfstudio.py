@@ -75,6 +75,18 @@ def test_frames_come_in_the_order_of_their_names_with_opencv_poses_and_integer_p
     assert len(recording.files) == 7
 
 
+def test_poses_may_be_in_the_axes_of_opencv(tmp_path: Path) -> None:
+    def change(table: dict[str, Any]) -> None:
+        for frame in table["frames"]:
+            frame["transform_matrix"] = (np.array(frame["transform_matrix"]) @ OPENGL).tolist()
+
+    write_recording(tmp_path, change)
+    assert np.allclose(camera_of(tmp_path, axes="opencv").world_from_cameras, POSES, atol=1e-12)
+    [camera] = nerfstudio.read(tmp_path, NerfstudioOptions()).cameras
+    assert list(camera.otherwise) == ["--axes opencv"]
+    assert np.allclose(camera.otherwise["--axes opencv"], POSES, atol=1e-12)
+
+
 def test_intrinsics_of_a_frame_go_before_those_of_all(tmp_path: Path) -> None:
     write_recording(tmp_path, in_frame(1, fl_x=25.0, cy=6.5))
     camera = camera_of(tmp_path)

@@ -20,6 +20,9 @@ class NerfstudioOptions(OneCameraOptions, TimeOptions):
         description="Metres per unit of the depth files; by default integer_depth_scale of the file, or 0.001 as in "
         "nerfstudio.",
     )
+    axes: Literal["opengl", "opencv"] = Field(
+        "opengl", description="Camera axes of transform_matrix: nerfstudio's, or opencv, as some scripts write them."
+    )
     world: Literal["source", "file"] = Field(
         "source",
         description="World frame: the source's, with applied_transform and applied_scale undone, or the file's.",
