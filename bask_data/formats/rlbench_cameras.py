@@ -105,6 +105,11 @@ def read_camera(
         )
         for key, shape in {"extrinsics": (4, 4), "intrinsics": (3, 3), "near": (), "far": ()}.items()
     }
+    near, far = calibration["near"], calibration["far"]
+    if not ((near >= 0) & (near < far) & np.isfinite(far)).all():
+        i = int(np.argmin((near >= 0) & (near < far) & np.isfinite(far)))
+        got = f"{near[i]:g} and {far[i]:g}"
+        raise BadData(where, f"observation {i}: {name}_camera_near, _far", expected="0 <= near < far, metres", got=got)
     faults = {
         i: BadData(
             episode.path / f"{name}_{kind}",
@@ -134,11 +139,11 @@ def read_camera(
         world_from_cameras=calibration["extrinsics"] @ OPENCV_FROM_COPPELIASIM,
         time=np.arange(n_frames) / fps,
         color=images["rgb"].color,
-        depth=_depth(images["depth"], calibration["near"], calibration["far"]),
+        depth=_depth(images["depth"], near, far),
         labels=labelled(masks.numbers, objects) if masks and has_labels else None,
         faults=faults,
         pose_places=tuple(f"{where}: observation {i}: {name}_camera_extrinsics" for i in range(n_frames)),
-        farthest=float(calibration["far"].max()),
+        farthest=float(far.max()),
     )
     return camera, about_K
 

@@ -142,7 +142,7 @@ class RobomimicCamera:
     def _matrix(self, info: dict[str, Any], key: str, n: int) -> Float[ndarray, "n n"]:
         try:
             matrix = np.array(info.get(key), dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             matrix = np.zeros(0)
         if matrix.shape != (n, n) or not np.isfinite(matrix).all():
             field = f"{self._demo} attribute camera_info: {self.name}: {key}"

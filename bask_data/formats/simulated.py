@@ -82,7 +82,7 @@ def chosen_cameras(source: Path, wanted: str, usable: Sequence[str], reasons: di
     """The cameras that `--cameras` names; by default all that can be used.
 
     Args:
-        reasons: why other cameras of the source cannot be used.
+        reasons: why other cameras of the source cannot be used, and after a colon what to do about it.
 
     Raises:
         UsageError: a name is unknown.
@@ -97,7 +97,7 @@ def chosen_cameras(source: Path, wanted: str, usable: Sequence[str], reasons: di
             raise UsageError("--cameras", expected=f"names among {known}", got=name, fix="leave it out for all.")
     if not names:
         got = "; ".join(f"{name}: {reason}" for name, reason in reasons.items()) or "no cameras"
-        fix = "record the simulator's observations with colour and depth."
+        fix = "" if ": " in "".join(reasons.values()) else "record the simulator's observations with colour and depth."
         raise BadData(source, "cameras", expected="one with colour, depth and calibration", got=got, fix=fix)
     return list(dict.fromkeys(names))
 

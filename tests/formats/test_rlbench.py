@@ -211,6 +211,11 @@ def test_wrong_values_are_refused_with_their_place(tmp_path: Path, classes: dict
         BadData, match=r"observation 0: wrist_camera_extrinsics: expected numbers of shape \(4, 4\), got"
     ):
         read(tmp_path)
+    write_episode(tmp_path, classes, misc={**poses, "wrist_camera_far": NEAR})
+    with pytest.raises(
+        BadData, match=r"wrist_camera_near, _far: expected 0 <= near < far, metres, got 0\.01 and 0\.01"
+    ):
+        read(tmp_path)
     write_episode(tmp_path, classes, misc={})
     with pytest.raises(BadData, match="cameras: expected one with colour, depth and calibration, got wrist: no misc"):
         read(tmp_path)

@@ -164,6 +164,11 @@ def test_damaged_camera_info_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadData, match=r"camera_info: robot0_eye_in_hand: intrinsics: expected a 3x3 matrix, got shape"):
         read(tmp_path / "a.hdf5")
     with h5py.File(tmp_path / "a.hdf5", "a") as file:
+        huge = json.dumps({HAND: {"intrinsics": [[10**400]], "extrinsics": 4}})
+        file["data/demo_0"].attrs["camera_info"] = huge
+    with pytest.raises(BadData, match="intrinsics: expected a 3x3 matrix"):
+        read(tmp_path / "a.hdf5")
+    with h5py.File(tmp_path / "a.hdf5", "a") as file:
         file["data/demo_0"].attrs["camera_info"] = "{"
     with pytest.raises(BadData, match="data/demo_0 attribute camera_info: expected JSON"):
         read(tmp_path / "a.hdf5")
