@@ -95,6 +95,7 @@ def refuse(source: Path, bad: list[Bad]) -> NoReturn:
     first = bad[0].error
     if len(bad) > 1:
         first.add_note(f"also: {listed([f'{fault.frame} ({fault.kind})' for fault in bad[1:]])}")
-        if "--skip-bad" not in first.fix:
-            first.add_note(f"{source}: --skip-bad leaves out all {len(bad)} of these frames")
+    if "--skip-bad" not in first.fix:
+        these = f"all {len(bad)} of these frames" if len(bad) > 1 else "this frame"
+        first.add_note(f"{source}: --skip-bad leaves out {these}")
     raise first

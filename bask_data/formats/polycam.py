@@ -14,7 +14,7 @@ from bask_data.errors import BadData
 from bask_data.formats.clock import seconds
 from bask_data.formats.files import MAX_TEXT_BYTES, natural
 from bask_data.formats.images import decode_color, decode_depth, decode_labels, image_header
-from bask_data.formats.json_values import number, parse_json
+from bask_data.formats.json_values import array, number, parse_json
 from bask_data.formats.lenses import scaled_lens
 from bask_data.formats.members import Members, ZipMembers, members_of
 from bask_data.formats.options.polycam import PolycamOptions
@@ -133,13 +133,15 @@ class _Camera:
 def _camera(members: Members, file: str) -> _Camera:
     place = members.place(file)
     table = parse_json(place, members.read(file, MAX_TEXT_BYTES))
-    rows = [[number(place, table, f"t_{row}{column}") for column in range(4)] for row in range(3)]
+    keys = [f"t_{row}{column}" for row in range(3) for column in range(4)]
+    # NaN is left for `prepare`, which takes it for lost tracking; a number that is missing is an error.
+    rows = array(place, "t_00 to t_23", [table[key] for key in keys if table.get(key) is not None], ((12,),))
     fx, fy, cx, cy = (number(place, table, key) for key in ("fx", "fy", "cx", "cy"))
     has_size = "width" in table or "height" in table
     size = (int(number(place, table, "height")), int(number(place, table, "width"))) if has_size else None
     score = number(place, table, "blur_score") if "blur_score" in table else None
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    return _Camera(np.array([*rows, [0, 0, 0, 1]]), K, size, score)
+    return _Camera(np.vstack([rows.reshape(3, 4), [0, 0, 0, 1]]), K, size, score)
 
 
 def _cameras(

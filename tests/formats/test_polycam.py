@@ -120,6 +120,13 @@ def test_a_damaged_camera_file_is_refused_or_left_out(export: Path) -> None:
     camera_file(path, POSES[1], fx=None)
     with pytest.raises(BadData, match=rf"{NAMES[1]}\.json: fx: expected a number, got nothing"):
         read(export)
+    camera_file(path, POSES[1], t_11=None)
+    with pytest.raises(BadData, match=rf"{NAMES[1]}\.json: t_00 to t_23: expected 12 numbers") as raised:
+        read(export)
+    assert "--skip-bad leaves out this frame" in raised.value.__notes__[-1]
+    camera_file(path, POSES[1], t_11=float("nan"))
+    with pytest.raises(BadData, match=rf"{NAMES[1]}\.json: pose: expected a rigid transform.*--skip-bad"):
+        read(export)
     assert np.allclose(camera_of(export, skip_bad=True).world_from_cameras, POSES[[0, 2, 3]])
 
 
