@@ -1,0 +1,162 @@
+"""Which format a source has, by names and first bytes of its files; and if none, what is nearest.
+
+Nothing is decoded, and what is looked at is bounded. A format's layout is known by its function in
+`recognise_folders.RECOGNISERS`, for single files by `recognise_files`; dumps without a layout of their own by
+`recognise_frames`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from bask_data.formats.guess import Guess
+from bask_data.formats.listing import Listing
+from bask_data.formats.recognise_files import guess_of_file, zip_names
+from bask_data.formats.recognise_folders import RECOGNISERS
+from bask_data.formats.recognise_frames import Dump, find_dump, guess_of_dump, hints_of
+
+MAX_INSIDE = 50
+"""Sub-folders that are looked at if a folder is no recording itself."""
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """What was found at a source.
+
+    Args:
+        guesses: formats that it may have.
+        got: what is there, in words, if there is no guess.
+        fix: what to do then.
+    """
+
+    guesses: tuple[Guess, ...]
+    got: str = ""
+    fix: str = ""
+
+
+def recognise(source: Path) -> Recognition:
+    """The formats that a folder or file may have; if none, whether it is one level too high or low, or what is missing.
+
+    Raises:
+        MissingDependency: a library that opens a file is not installed.
+    """
+    if source.is_file():
+        guess = guess_of_file(source)
+        return Recognition((guess,)) if guess else _nothing_in_file(source)
+    listing = Listing(source)
+    guesses = guesses_of_folder(listing)
+    if guesses:
+        return Recognition(guesses)
+    dump = find_dump(listing)
+    guess = guess_of_dump(listing, dump)
+    inside = _inside(listing)
+    if guess and len(inside) < 2:
+        return Recognition((guess,))
+    if inside:
+        return _of_inside(inside)
+    if above := _above(source):
+        return Recognition((), f"a part of a recording: the folder above is {above.format}'s", _again(above.source))
+    if dump.color and dump.depth and not dump.has_poses and dump.color.keys & dump.depth.keys:
+        return Recognition((_without_poses(listing, dump),))
+    return _nothing(listing, dump)
+
+
+def guesses_of_folder(listing: Listing) -> tuple[Guess, ...]:
+    """Formats with a layout of their own that a folder has."""
+    found = (recogniser(listing) for recogniser in RECOGNISERS.values())
+    return tuple(guess for guess in found if guess)
+
+
+def _inside(listing: Listing) -> list[Guess]:
+    """Recordings in the folders and files one level down."""
+    found: list[Guess] = []
+    for name in listing.folders()[:MAX_INSIDE]:
+        if listing.has_folder(name):
+            below = Listing(listing.root / name)
+            guesses = guesses_of_folder(below)
+            dump = None if guesses else guess_of_dump(below, find_dump(below))
+            found += guesses or ((dump,) if dump else ())
+    files = [guess_of_file(listing.root / name) for name in listing.files()[:MAX_INSIDE]]
+    return [*found, *(guess for guess in files if guess)]
+
+
+def _of_inside(inside: list[Guess]) -> Recognition:
+    places = {guess.source for guess in inside}
+    if len(places) == 1:
+        reason = f"SOURCE holds it: {inside[0].source.name}"
+        return Recognition(tuple(replace(guess, reasons=(*guess.reasons, reason)) for guess in inside))
+    names = [f"{guess.source.name} ({guess.format})" for guess in inside]
+    shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+    return Recognition((), f"a folder of {len(places)} recordings: {shown}", _again(inside[0].source))
+
+
+def _above(source: Path) -> Guess | None:
+    """The recording that a folder is a part of: its format must have a layout, or its patterns lead into the folder."""
+    parent = Listing(source.resolve().parent)
+    guesses = guesses_of_folder(parent)
+    if guesses:
+        return guesses[0] if guesses[0].source == parent.root else None
+    guess = guess_of_dump(parent, find_dump(parent))
+    name = f"{source.resolve().name}/"
+    return guess if guess and any(value.startswith(name) for value in guess.options.values()) else None
+
+
+def _without_poses(listing: Listing, dump: Dump) -> Guess:
+    assert dump.color and dump.depth
+    options = {"images": dump.color.pattern, "depth": dump.depth.pattern}
+    if dump.calibration:
+        options["intrinsics"] = dump.calibration
+    reasons = (
+        f"{len(dump.color.keys)} colour files {dump.color.pattern} and {len(dump.depth.keys)} depth files "
+        f"{dump.depth.pattern}",
+        "no poses: COLMAP finds them from the images, and depth gives their scale",
+        *hints_of(dump),
+    )
+    return Guess("colmap", listing.root, reasons, options)
+
+
+def _nothing(listing: Listing, dump: Dump) -> Recognition:
+    looked = "`bask-data ingest --help` lists the formats, docs/formats.md their layouts."
+    if dump.color and dump.depth:
+        got = f"colour {dump.color.pattern} and depth {dump.depth.pattern}, whose names have no number in common"
+        fix = "write their pairs to associations.txt, lines `time file time file`, and use `bask-data ingest tum`; or "
+        return Recognition((), got, f"{fix}give files of one frame the same number.")
+    if dump.color:
+        got = f"{len(dump.color.keys)} images {dump.color.pattern}, but no depth"
+        fix = "depth is needed: 16-bit PNG, TIFF, EXR or .npy, one file for each image."
+        return Recognition((), got, fix)
+    if dump.depth:
+        got = f"{len(dump.depth.keys)} depth images {dump.depth.pattern}, but no colour"
+        return Recognition((), got, "add colour images of the same numbers, or name the folder above them.")
+    names = [*(f"{name}/" for name in listing.folders()), *listing.files()]
+    packed = [name for name in names if name.lower().endswith((".zip", ".tar", ".tgz", ".tar.gz", ".7z"))]
+    if packed:
+        return Recognition((), f"archives: {', '.join(packed[:3])}", f"unpack {packed[0]}, and name its folder. {looked}")
+    shown = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+    return Recognition((), shown or "an empty folder", looked)
+
+
+def _nothing_in_file(source: Path) -> Recognition:
+    folder = recognise_parent(source)
+    if folder:
+        return Recognition((), f"a file of a recording in the format {folder.format}", _again(folder.source))
+    suffix = source.suffix.lower()
+    if suffix == ".zip":
+        names = zip_names(source)
+        got = f"a zip file with {', '.join(names[:3])}" if names else "a damaged or empty zip file"
+        return Recognition((), got, "unpack it, and name its folder.")
+    if suffix in (".tar", ".gz", ".tgz", ".7z", ".rar"):
+        return Recognition((), "an archive", "unpack it, and name its folder.")
+    return Recognition((), f"a file {suffix or 'without an ending'}", "name the folder of the recording.")
+
+
+def recognise_parent(source: Path) -> Guess | None:
+    """The recording that the folder of a file is."""
+    listing = Listing(source.parent)
+    guesses = guesses_of_folder(listing)
+    return guesses[0] if guesses else guess_of_dump(listing, find_dump(listing))
+
+
+def _again(source: Path) -> str:
+    return f"bask-data ingest auto {source} ROOT"
