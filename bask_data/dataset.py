@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,9 @@ from bask_data.spelling import choices, suggestion
 DATASET = "dataset.json"
 DATASET_VERSION = 1
 """Version of the format of `dataset.json` that is read and written."""
+SHARE_UNLISTED = 1 / 16
+"""Items added together that may wait to be listed, as a share of those listed. A process that is killed leaves these
+published but not listed; the same command lists them. Chosen: each item is then written about 16 times."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
@@ -98,6 +102,7 @@ class Dataset:
         except ValidationError as error:
             field, expected, came = first_fault(error)
             raise BadData(file, field, expected=expected, got=came, fix=RESTORE) from error
+        self._added: list[tuple[str, str, Source]] | None = None
         for name in [*self.file.scenes, *self.file.demonstrations]:
             check_name(name, file)
         splits = self.file.splits
@@ -173,19 +178,38 @@ class Dataset:
 
     def add(self, scope: str, item: str, source: Source) -> None:
         """Add an item, or replace its source."""
-
-        def enter(file: DatasetFile) -> DatasetFile:
-            scenes, demonstrations = dict(file.scenes), dict(file.demonstrations)
-            own, others = (scenes, demonstrations) if scope == "scene" else (demonstrations, scenes)
-            if item in others:
-                got = f"the name of a {'demonstration' if scope == 'scene' else 'scene'}"
-                fix = "choose another name."
-                raise UsageError(self.root / DATASET, item, expected=f"a {scope}", got=got, fix=fix)
-            own[item] = source
-            return file.model_copy(update={"scenes": scenes, "demonstrations": demonstrations})
-
         check_name(item, self.root / DATASET)
-        self._update(enter)
+        added = [(scope, item, source)] if self._added is None else [*self._added, (scope, item, source)]
+        n_listed = len(self.file.scenes) + len(self.file.demonstrations)
+        if self._added is not None and len(added) <= SHARE_UNLISTED * n_listed:
+            self._added = added
+            return
+        self._update(lambda file: self._with(file, added))
+        self._added = None if self._added is None else []
+
+    @contextmanager
+    def adding_many(self) -> Iterator[None]:
+        """Within the block, `add` writes the list less and less often, and the rest at its end, also after an error.
+
+        The list is written as a whole: once per item, a dataset would cost the square of its number of items.
+        """
+        self._added = []
+        try:
+            yield
+        finally:
+            added, self._added = self._added, None
+            if added:
+                self._update(lambda file: self._with(file, added))
+
+    def _with(self, file: DatasetFile, added: list[tuple[str, str, Source]]) -> DatasetFile:
+        items = {"scene": dict(file.scenes), "demonstration": dict(file.demonstrations)}
+        for scope, item, source in added:
+            other = "demonstration" if scope == "scene" else "scene"
+            if item in items[other]:
+                got, fix = f"the name of a {other}", "choose another name."
+                raise UsageError(self.root / DATASET, item, expected=f"a {scope}", got=got, fix=fix)
+            items[scope][item] = source
+        return file.model_copy(update={"scenes": items["scene"], "demonstrations": items["demonstration"]})
 
     def add_variant(self, artifact: type[Artifact], name: str, variant: Variant) -> None:
         """Add a variant of a kind to the list, so that `status` and `run` include it."""
@@ -295,10 +319,10 @@ def check_name(name: str, where: Path | str, field: str = "name") -> None:
             field,
             expected="letters, digits, '_' and '-', at most 64, beginning with a letter or digit",
             got=repr(name[:80]),
-            fix=f"for instance {_plain_name(name)}",
+            fix=f"for instance {plain_name(name)}",
         )
 
 
-def _plain_name(name: str) -> str:
+def plain_name(name: str) -> str:
     """The allowed name that is most like the given one."""
     return re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_-")[:64] or "table"

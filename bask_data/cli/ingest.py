@@ -10,13 +10,18 @@ import typer
 
 from bask_data.cli.commands import CommandList
 from bask_data.cli.console import say, show_outcome, shown_progress
+from bask_data.cli.ingest_auto import ingest_auto
+from bask_data.cli.ingest_run import IngestRequest, run_ingest
 from bask_data.cli.options import Json, Root, add_command, checked_options, names_of, options_of, parameter
 from bask_data.cli.working import finish, quoted
 from bask_data.formats import FORMATS, Format
-from bask_data.formats.options.common import SourceOptions
 from bask_data.sim.options import SimOptions, TaskName
 
 EXAMPLES = {
+    "auto": """
+    bask-data ingest auto recordings/table data/demo
+    bask-data ingest auto scans/mug.r3d data/demo --scene mug --yes
+    """,
     "frames": """
     bask-data ingest frames recordings/table data/demo --scene table --intrinsics 525,525,319.5,239.5
     bask-data ingest frames recordings/pour data/demo --scene pour1 --as demonstration --camera wrist
@@ -108,22 +113,7 @@ def _add_format(format: Format) -> None:
     ]
 
     def body(source: Path, root: Path, scene: str, as_: Any, force: bool, json_: bool, **options: Any) -> None:
-        from bask_data.formats.verdict import is_doubtful
-        from bask_data.sources.ingest import ingest
-
-        values = checked_options(format.options, options, f"bask-data ingest {format.name}")
-        assert isinstance(values, SourceOptions)
-        with shown_progress():
-            outcomes, assumptions = ingest(
-                root, scene, format=format, source=source, options=values, kind=as_, force=force
-            )
-        for name, text in assumptions.items():
-            doubtful = name.endswith("agreement") and is_doubtful(text)
-            say(f"  note        {name}: {text}" if doubtful else f"  assumed     {name}: {text}")
-        for outcome in outcomes:
-            show_outcome(outcome)
-        following = f"bask-data run {quoted(root)}"
-        finish(f"ingest {format.name}", outcomes, json_, following, assumptions=assumptions)
+        run_ingest(IngestRequest(format, source, root, scene, as_, options, force, json_))
 
     add_command(app, format.name, parameters, body, help=format.help, epilog=EXAMPLES.get(format.name))
 
@@ -169,6 +159,7 @@ def _add_simulator() -> None:
     add_command(app, "sim", parameters, body, help=help, epilog=EXAMPLES["sim"])
 
 
+app.command("auto", epilog=EXAMPLES["auto"])(ingest_auto)
 for _format in FORMATS:
     _add_format(_format)
 _add_simulator()

@@ -16,7 +16,20 @@ LABEL_WORDS = {"label", "labels", "mask", "masks", "seg", "segm", "segmentation"
 DEPTH_WORDS = {"depth", "depths", "depthmap", "depthmaps", "dep"}
 COLOR_WORDS = {"rgb", "color", "colour", "colors", "colours", "image", "images", "img", "imgs", "rgbs"}
 POSE_WORDS = {"pose", "poses", "extrinsic", "extrinsics", "extr", "transform", "transforms"}
-OTHER_WORDS = {"intrinsic", "intrinsics", "confidence", "conf", "normal", "normals", "flow", "ir", "infrared", "thumb", "thumbnail", "vis"}
+OTHER_WORDS = {
+    "intrinsic",
+    "intrinsics",
+    "confidence",
+    "conf",
+    "normal",
+    "normals",
+    "flow",
+    "ir",
+    "infrared",
+    "thumb",
+    "thumbnail",
+    "vis",
+}
 """Words in names of files and folders that say what the files hold."""
 
 
@@ -98,7 +111,9 @@ def _kind(listing: Listing, pattern: str, first: str) -> tuple[str, bool]:
     words = [word for part in reversed(PurePosixPath(pattern).parts) for word in words_of(part.rsplit(".", 1)[0])]
     named = next((kind for word in words if (kind := _kind_of_word(word))), "")
     if suffix in TEXTS:
-        is_pose = named in ("", "pose") and count_of_numbers(listing.head(first)) in (7, 12, 16)
+        n = count_of_numbers(listing.head(first))
+        # Files that are named poses are such in any form: the reader says what is wrong with them.
+        is_pose = n > 0 if named == "pose" else not named and n in (7, 12, 16)
         return ("pose", named == "pose") if is_pose else ("other", False)
     if named in ("label", "other"):
         return named, True

@@ -67,7 +67,8 @@ class Listing:
 
     def _read(self, folder: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
         if folder not in self._known:
-            files, folders = [], []
+            files: list[str] = []
+            folders: list[str] = []
             if self.has_folder(folder or "."):
                 try:
                     with os.scandir(self.root / folder) as entries:

@@ -21,7 +21,7 @@ MAX_INSIDE = 50
 
 
 @dataclass(frozen=True)
-class Recognition:
+class RecognisedSource:
     """What was found at a source.
 
     Args:
@@ -35,7 +35,7 @@ class Recognition:
     fix: str = ""
 
 
-def recognise(source: Path) -> Recognition:
+def recognise(source: Path) -> RecognisedSource:
     """The formats that a folder or file may have; if none, whether it is one level too high or low, or what is missing.
 
     Raises:
@@ -43,22 +43,24 @@ def recognise(source: Path) -> Recognition:
     """
     if source.is_file():
         guess = guess_of_file(source)
-        return Recognition((guess,)) if guess else _nothing_in_file(source)
+        return RecognisedSource((guess,)) if guess else _nothing_in_file(source)
     listing = Listing(source)
     guesses = guesses_of_folder(listing)
     if guesses:
-        return Recognition(guesses)
+        return RecognisedSource(guesses)
     dump = find_dump(listing)
     guess = guess_of_dump(listing, dump)
     inside = _inside(listing)
     if guess and len(inside) < 2:
-        return Recognition((guess,))
+        return RecognisedSource((guess,))
     if inside:
         return _of_inside(inside)
     if above := _above(source):
-        return Recognition((), f"a part of a recording: the folder above is {above.format}'s", _again(above.source))
+        return RecognisedSource(
+            (), f"a part of a recording: the folder above is {above.format}'s", _again(above.source)
+        )
     if dump.color and dump.depth and not dump.has_poses and dump.color.keys & dump.depth.keys:
-        return Recognition((_without_poses(listing, dump),))
+        return RecognisedSource((_without_poses(listing, dump),))
     return _nothing(listing, dump)
 
 
@@ -81,14 +83,14 @@ def _inside(listing: Listing) -> list[Guess]:
     return [*found, *(guess for guess in files if guess)]
 
 
-def _of_inside(inside: list[Guess]) -> Recognition:
+def _of_inside(inside: list[Guess]) -> RecognisedSource:
     places = {guess.source for guess in inside}
     if len(places) == 1:
         reason = f"SOURCE holds it: {inside[0].source.name}"
-        return Recognition(tuple(replace(guess, reasons=(*guess.reasons, reason)) for guess in inside))
+        return RecognisedSource(tuple(replace(guess, reasons=(*guess.reasons, reason)) for guess in inside))
     names = [f"{guess.source.name} ({guess.format})" for guess in inside]
     shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
-    return Recognition((), f"a folder of {len(places)} recordings: {shown}", _again(inside[0].source))
+    return RecognisedSource((), f"a folder of {len(places)} recordings: {shown}", _again(inside[0].source))
 
 
 def _above(source: Path) -> Guess | None:
@@ -116,46 +118,52 @@ def _without_poses(listing: Listing, dump: Dump) -> Guess:
     return Guess("colmap", listing.root, reasons, options)
 
 
-def _nothing(listing: Listing, dump: Dump) -> Recognition:
+def _nothing(listing: Listing, dump: Dump) -> RecognisedSource:
     looked = "`bask-data ingest --help` lists the formats, docs/formats.md their layouts."
     if dump.color and dump.depth:
         got = f"colour {dump.color.pattern} and depth {dump.depth.pattern}, whose names have no number in common"
         fix = "write their pairs to associations.txt, lines `time file time file`, and use `bask-data ingest tum`; or "
-        return Recognition((), got, f"{fix}give files of one frame the same number.")
+        return RecognisedSource((), got, f"{fix}give files of one frame the same number.")
     if dump.color:
         got = f"{len(dump.color.keys)} images {dump.color.pattern}, but no depth"
         fix = "depth is needed: 16-bit PNG, TIFF, EXR or .npy, one file for each image."
-        return Recognition((), got, fix)
+        return RecognisedSource((), got, fix)
     if dump.depth:
         got = f"{len(dump.depth.keys)} depth images {dump.depth.pattern}, but no colour"
-        return Recognition((), got, "add colour images of the same numbers, or name the folder above them.")
+        return RecognisedSource((), got, "add colour images of the same numbers, or name the folder above them.")
     names = [*(f"{name}/" for name in listing.folders()), *listing.files()]
     packed = [name for name in names if name.lower().endswith((".zip", ".tar", ".tgz", ".tar.gz", ".7z"))]
     if packed:
-        return Recognition((), f"archives: {', '.join(packed[:3])}", f"unpack {packed[0]}, and name its folder. {looked}")
+        return RecognisedSource(
+            (), f"archives: {', '.join(packed[:3])}", f"unpack {packed[0]}, and name its folder. {looked}"
+        )
     shown = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
-    return Recognition((), shown or "an empty folder", looked)
+    return RecognisedSource((), shown or "an empty folder", looked)
 
 
-def _nothing_in_file(source: Path) -> Recognition:
-    folder = recognise_parent(source)
+def _nothing_in_file(source: Path) -> RecognisedSource:
+    folder = _of_parent(source)
     if folder:
-        return Recognition((), f"a file of a recording in the format {folder.format}", _again(folder.source))
+        return RecognisedSource((), f"a file of a recording in the format {folder.format}", _again(folder.source))
     suffix = source.suffix.lower()
     if suffix == ".zip":
         names = zip_names(source)
         got = f"a zip file with {', '.join(names[:3])}" if names else "a damaged or empty zip file"
-        return Recognition((), got, "unpack it, and name its folder.")
+        return RecognisedSource((), got, "unpack it, and name its folder.")
     if suffix in (".tar", ".gz", ".tgz", ".7z", ".rar"):
-        return Recognition((), "an archive", "unpack it, and name its folder.")
-    return Recognition((), f"a file {suffix or 'without an ending'}", "name the folder of the recording.")
+        return RecognisedSource((), "an archive", "unpack it, and name its folder.")
+    return RecognisedSource((), f"a file {suffix or 'without an ending'}", "name the folder of the recording.")
 
 
-def recognise_parent(source: Path) -> Guess | None:
+def _of_parent(source: Path) -> Guess | None:
     """The recording that the folder of a file is."""
     listing = Listing(source.parent)
     guesses = guesses_of_folder(listing)
-    return guesses[0] if guesses else guess_of_dump(listing, find_dump(listing))
+    if guesses:
+        return guesses[0]
+    dump = find_dump(listing)
+    guess = guess_of_dump(listing, dump)
+    return guess if dump.color and "/" not in dump.color.pattern else None
 
 
 def _again(source: Path) -> str:

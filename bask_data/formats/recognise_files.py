@@ -10,7 +10,7 @@ from bask_data.errors import BadData
 from bask_data.formats.guess import Guess
 from bask_data.formats.listing import Listing
 
-MAX_MEMBERS = 20_000
+MAX_ZIP_NAMES = 20_000
 """Names of a zip file that are looked at."""
 
 MAGIC = {
@@ -44,7 +44,7 @@ def zip_names(path: Path) -> list[str]:
     """Names of a zip file's members, as many as are looked at; none if it is damaged."""
     try:
         with zipfile.ZipFile(path) as archive:
-            return [name for name in islice(archive.namelist(), MAX_MEMBERS)]
+            return list(islice(archive.namelist(), MAX_ZIP_NAMES))
     except (zipfile.BadZipFile, OSError, ValueError, RuntimeError, NotImplementedError):
         return []
 

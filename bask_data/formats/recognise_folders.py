@@ -24,7 +24,8 @@ def _tum(listing: Listing) -> Guess | None:
     pairs = next((name for name in listing.files() if re.match(r"assoc\w*\.txt$", name)), "")
     if len(lists) < 2 and not pairs:
         return None
-    options, missing = {}, {}
+    options: dict[str, str] = {}
+    missing: dict[str, str] = {}
     reasons = [f"{' and '.join(lists)} list images with times" if len(lists) == 2 else f"{pairs} pairs images by time"]
     if len(lists) < 2:
         options["associations"] = pairs
@@ -61,7 +62,7 @@ def _scannet(listing: Listing) -> Guess | None:
 
 def _has_stem(listing: Listing, folder: str) -> bool:
     """Whether calibrations lie beside the folders of images, as in ScanNet's frames_25k."""
-    return any(name.startswith("intrinsics_") or name.startswith("intrinsic_") for name in listing.files(folder))
+    return any(name.startswith(("intrinsics_", "intrinsic_")) for name in listing.files(folder))
 
 
 def _arkitscenes(listing: Listing) -> Guess | None:
@@ -79,7 +80,8 @@ def _bop(listing: Listing) -> Guess | None:
 
     if mark := marks(""):
         return Guess("bop", listing.root, (f"{mark} is a scene's of a BOP data set or of YCB-Video",))
-    inside = [folder for folder in listing.all_folders if folder.count("/") < 2 and marks(folder)]
+    levels = ([folder for folder in listing.all_folders if folder.count("/") == n and marks(folder)] for n in (0, 1))
+    inside = next((folders for folders in levels if folders), [])
     if not inside:
         return None
     return Guess("bop", listing.root, (f"scenes {_listed(inside)}, each with {marks(inside[0])}",))

@@ -112,9 +112,7 @@ def hints_of(dump: Dump) -> list[str]:
     return hints
 
 
-def _best_pair(
-    colors: list[FilePattern], depths: list[FilePattern]
-) -> tuple[FilePattern | None, FilePattern | None]:
+def _best_pair(colors: list[FilePattern], depths: list[FilePattern]) -> tuple[FilePattern | None, FilePattern | None]:
     """The colour and depth that share most names; among equals those whose names say what they are, and the first."""
     pairs = [(color, depth) for color in colors for depth in depths]
     if not pairs:

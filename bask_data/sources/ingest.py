@@ -6,6 +6,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -36,10 +37,14 @@ def ingest(
     options: SourceOptions,
     kind: Literal["scan", "demonstration"] = "scan",
     force: bool = False,
+    dataset: Dataset | None = None,
 ) -> tuple[list[Outcome], dict[str, str]]:
     """Read a recording into the dataset at `root`, which is created if it does not exist.
 
     Everything is checked and written to scratch first: an error leaves the dataset unchanged.
+
+    Args:
+        dataset: the one at `root`, if it is open already.
 
     Returns:
         Outcomes, and the assumptions about the source in words.
@@ -51,7 +56,7 @@ def ingest(
     """
     makes = Scan if kind == "scan" else Demonstration
     check_name(item, f"ingest {format.name}", "--scene")
-    dataset = Dataset.open_if_any(root)
+    dataset = dataset or Dataset.open_if_any(root)
     refuse_other_scope(dataset, makes, item, "choose another --scene.")
     opened = format.opened(source, options)
     key = _key(makes, format, options, source, opened)
@@ -114,7 +119,18 @@ def _enter(
 
 
 def _source_digest(source: Path, files: tuple[Path, ...]) -> str:
-    return digest_of({os.path.relpath(file, source): file_digest(file) for file in files})
+    return digest_of({os.path.relpath(file, source): _digest_of_file(file) for file in files})
+
+
+def _digest_of_file(path: Path) -> str:
+    state = path.stat()
+    return _known_digest(path, state.st_size, state.st_mtime_ns, state.st_ino)
+
+
+@lru_cache(maxsize=100_000)
+def _known_digest(path: Path, size: int, time_ns: int, inode: int) -> str:
+    """The digest of a file, computed once as long as it does not change: episodes share files of many gigabytes."""
+    return file_digest(path)
 
 
 def _key(

@@ -100,8 +100,8 @@ class EpisodeOptions(SourceOptions):
 
     episode: Text = Field(
         "",
-        description="Which of the source's recordings to read, by name or number. Needed if there are several; `all` "
-        "reads them all, as NAME_0, NAME_1 and so on.",
+        description="Which of the source's recordings to read, by name or number. Needed if there are several. "
+        "`all`, or a range FIRST:END:STEP over all, reads each as NAME_EPISODE; --skip-bad goes on after a bad one.",
     )
 
 

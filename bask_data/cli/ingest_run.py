@@ -1,0 +1,82 @@
+"""What all sub-commands of `ingest` do with their options: read one recording, or one per episode, and report it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from bask_data.cli.console import say, show_outcome, shown_progress
+from bask_data.cli.options import checked_options
+from bask_data.cli.working import finish, quoted
+from bask_data.formats import Format
+from bask_data.formats.options.common import SourceOptions
+
+if TYPE_CHECKING:
+    from bask_data.engine import Outcome
+    from bask_data.sources.episodes import EpisodeIngested
+
+
+@dataclass(frozen=True)
+class IngestRequest:
+    """A recording to read, or several: `--episode all`.
+
+    Args:
+        options: those of the format that were set, by field.
+    """
+
+    format: Format
+    source: Path
+    root: Path
+    scene: str
+    kind: Literal["scan", "demonstration"]
+    options: dict[str, Any]
+    force: bool = False
+    as_json: bool = False
+
+
+def run_ingest(request: IngestRequest) -> None:
+    """Read the recordings, print what was assumed and made, and exit with the code of the first failure."""
+    outcomes: list[Outcome] = []
+    assumptions: dict[str, str] = {}
+    shown: set[tuple[str, str]] = set()
+    with shown_progress():
+        for each in _ingested(request):
+            for name, text in each.assumptions.items():
+                if (name, text) not in shown:  # Episodes of one source mostly repeat them.
+                    shown.add((name, text))
+                    _show_assumption(name, text)
+            for outcome in each.outcomes:
+                show_outcome(outcome)
+            outcomes += each.outcomes
+            assumptions |= each.assumptions
+    following = f"bask-data run {quoted(request.root)}"
+    finish(f"ingest {request.format.name}", outcomes, request.as_json, following, assumptions=assumptions)
+
+
+def _ingested(request: IngestRequest) -> Iterator[EpisodeIngested]:
+    from bask_data.sources.episodes import EpisodeIngested, are_several, ingest_episodes
+    from bask_data.sources.ingest import ingest
+
+    format = request.format
+    options = checked_options(format.options, request.options, f"bask-data ingest {format.name}")
+    assert isinstance(options, SourceOptions)
+    arguments: dict[str, Any] = {
+        "format": format,
+        "source": request.source,
+        "options": options,
+        "kind": request.kind,
+        "force": request.force,
+    }
+    if are_several(str(getattr(options, "episode", ""))):
+        yield from ingest_episodes(request.root, request.scene, **arguments)
+    else:
+        yield EpisodeIngested(request.scene, *ingest(request.root, request.scene, **arguments))
+
+
+def _show_assumption(name: str, text: str) -> None:
+    from bask_data.formats.verdict import is_doubtful
+
+    doubtful = name.endswith("agreement") and is_doubtful(text)
+    say(f"  note        {name}: {text}" if doubtful else f"  assumed     {name}: {text}")
