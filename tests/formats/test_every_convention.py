@@ -19,7 +19,7 @@ from bask_data.kinds import Demonstration, Scan
 from tests.formats.views import Views, rendered
 from tests.formats.written_sources import SOURCES, Written
 
-LOSSES = 6.0
+LOSSES = 10.0
 """Mean difference of colour that JPEG and video cost, of 255; views of other frames differ by 30 and more."""
 
 
