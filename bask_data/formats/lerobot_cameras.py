@@ -71,7 +71,11 @@ def find_cameras(source: Path, info: Info, options: LerobotOptions) -> tuple[lis
     Raises:
         UsageError: none has depth, or one that is asked for has none or is not there.
     """
-    colors = {camera_name(key): feature for key, feature in info.features.items() if is_color(feature)}
+    colors: dict[str, Feature] = {}
+    for key, feature in info.features.items():
+        if is_color(feature):
+            name = camera_name(key)
+            colors[name if name not in colors else f"{name}_{len(colors)}"] = feature
     depths = [feature for feature in info.features.values() if is_depth(feature)]
     given = by_camera("--depth", options.depth, options.cameras or list(colors))
     unknown = [name for name in options.cameras if name not in colors]
@@ -87,7 +91,7 @@ def find_cameras(source: Path, info: Info, options: LerobotOptions) -> tuple[lis
             got=f"no depth of {listed(without)}" if colors else "no colour images",
             fix=f"pass --depth with one of {listed([depth.key for depth in depths])}."
             if depths
-            else "read another data set: bask-data needs depth.",
+            else "read another dataset: bask-data needs depth.",
         )
     left_out = [name for name in colors if found.get(name) is None]
     said = {"cameras": f"{listed(left_out)} left out: no depth, or not asked for"} if left_out else {}

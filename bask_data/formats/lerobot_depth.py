@@ -39,7 +39,7 @@ class DepthCodes:
     Args:
         nearest, farthest: depth of the smallest and of the largest code, metres.
         shift: added to depth before its logarithm is taken, metres.
-        is_stated: whether the data set states it.
+        is_stated: whether the dataset states it.
     """
 
     nearest: float

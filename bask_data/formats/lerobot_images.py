@@ -43,7 +43,7 @@ class FrameImages:
 
 
 class EpisodeFiles:
-    """Image files in a column of the table: inside it, or by paths that lie inside the data set."""
+    """Image files in a column of the table: inside it, or by paths that lie inside the dataset."""
 
     def __init__(self, rows: EpisodeRows, feature: Feature) -> None:
         self._rows, self._key = rows, feature.key
@@ -76,9 +76,9 @@ class EpisodeFiles:
             raise BadData(
                 folder.path,
                 self._key,
-                expected="images in the data set",
+                expected="images in the dataset",
                 got=f"an address: {path[:80]}",
-                fix="download the data set with its images.",
+                fix="download the dataset with its images.",
             )
         return folder.member(path, self._key)
 

@@ -309,20 +309,42 @@ np.savez(to, **found)
 """
 
 
-@pytest.mark.skipif("BASK_DATA_LEROBOT" not in os.environ, reason="BASK_DATA_LEROBOT names no Python with lerobot")
-def test_lerobot_loads_every_value_and_a_policy_accepts_it(encoded, folder: Path, tmp_path: Path) -> None:
+def loaded_by_lerobot(folder: Path, tmp_path: Path) -> dict[str, np.ndarray]:
+    """All values of an export, read by the lerobot package in its own Python."""
     command = [os.environ["BASK_DATA_LEROBOT"], "-c", READER, str(folder), str(tmp_path / "read.npz")]
     environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "home"), "CUDA_VISIBLE_DEVICES": ""}
     ended = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=500)
     assert ended.returncode == 0, ended.stderr[-3000:]
-    demos = [encoded[1][name] for name in ORDER]
     with np.load(tmp_path / "read.npz") as read:
-        np.testing.assert_allclose(read["observation__state"], np.concatenate([state(d) for d in demos]), rtol=1e-6)
-        np.testing.assert_allclose(read["action"], np.concatenate([d.robot.action for d in demos]), rtol=1e-6)
-        assert read["tasks"].tolist() == ["put the lid on"] * 21 + ["stir"] * 7
-        images = np.concatenate([[picture(i) for i in range(len(d.mean))] for d in demos])
-        difference = 255 * read[KEY.replace(".", "__")].transpose(0, 2, 3, 1) - images
-        assert np.abs(difference).mean(axis=(1, 2, 3)).max() < 5
-        np.testing.assert_allclose(read["chunk"], demos[1].robot.action[[8, 8, 8]], rtol=1e-6)
-        assert read["padding"].tolist() == [False, True, True]
-        assert np.isfinite(read["loss"])
+        return dict(read)
+
+
+@pytest.mark.skipif("BASK_DATA_LEROBOT" not in os.environ, reason="BASK_DATA_LEROBOT names no Python with lerobot")
+def test_lerobot_loads_every_value_and_a_policy_accepts_it(encoded, folder: Path, tmp_path: Path) -> None:
+    read = loaded_by_lerobot(folder, tmp_path)
+    demos = [encoded[1][name] for name in ORDER]
+    np.testing.assert_allclose(read["observation__state"], np.concatenate([state(d) for d in demos]), rtol=1e-6)
+    np.testing.assert_allclose(read["action"], np.concatenate([d.robot.action for d in demos]), rtol=1e-6)
+    assert read["tasks"].tolist() == ["put the lid on"] * 21 + ["stir"] * 7
+    images = np.concatenate([[picture(i) for i in range(len(d.mean))] for d in demos])
+    difference = 255 * read[KEY.replace(".", "__")].transpose(0, 2, 3, 1) - images
+    assert np.abs(difference).mean(axis=(1, 2, 3)).max() < 5
+    np.testing.assert_allclose(read["chunk"], demos[1].robot.action[[8, 8, 8]], rtol=1e-6)
+    assert read["padding"].tolist() == [False, True, True]
+    assert np.isfinite(read["loss"])
+
+
+@pytest.mark.skipif("BASK_DATA_LEROBOT" not in os.environ, reason="BASK_DATA_LEROBOT names no Python with lerobot")
+def test_lerobot_loads_cameras_too(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    demos = [seen_demo(0, 12), seen_demo(1, 9)]
+    for name, demo in zip("ab", demos, strict=True):
+        demo.publish(dataset, name)
+    export(dataset, tmp_path / "out", "lerobot", ExportSettings(cameras=True))
+    read = loaded_by_lerobot(tmp_path / "out", tmp_path)
+    key = KEY.replace(".", "__")
+    images = np.concatenate([[picture(i) for i in range(len(demo.mean))] for demo in demos])
+    np.testing.assert_allclose(255 * read[key].transpose(0, 2, 3, 1), images, atol=1e-3)
+    np.testing.assert_array_equal(read[f"{key}_depth"][:, 0], np.concatenate([demo.depth for demo in demos]))
+    poses = np.concatenate([demo.world_from_cameras for demo in demos]).reshape(-1, 16)
+    np.testing.assert_allclose(read["camera__wrist__world_from_camera"], poses, rtol=1e-6, atol=1e-6)

@@ -199,7 +199,7 @@ def test_images_beside_the_table_are_read_and_belong_to_the_source(tmp_path: Pat
     [
         ("../secret.png", "expected a path inside the source folder"),
         ("/etc/hostname", "expected a path inside the source folder"),
-        ("https://example.org/0.png", "expected images in the data set, got an address"),
+        ("https://example.org/0.png", "expected images in the dataset, got an address"),
         ("images/none.png", "no such path"),
     ],
 )
