@@ -52,12 +52,17 @@ def array(where: Path | str, field: str, value: Any, shapes: Sequence[tuple[int,
     Args:
         shapes: lengths along each axis; -1 is any length.
     """
+    result: ndarray | None
     try:
         result = np.array(value, np.float64)
     except (ValueError, TypeError, OverflowError):
-        result = np.empty(0)
+        result = None
     for shape in shapes:
-        if len(shape) == result.ndim and all(a in (-1, b) for a, b in zip(shape, result.shape, strict=True)):
+        if (
+            result is not None
+            and len(shape) == result.ndim
+            and all(a in (-1, b) for a, b in zip(shape, result.shape, strict=True))
+        ):
             return result
     sizes = " or ".join(" x ".join("n" if length < 0 else str(length) for length in shape) for shape in shapes)
     raise BadData(where, field, expected=f"{sizes} numbers", got=repr(value)[:80])

@@ -52,7 +52,7 @@ def read(source: Path, options: NerfstudioOptions) -> SourceRecording:
     lens = lens_of(path, table, frames, read_color(_there(color[first])).shape[:2])
     depth_size = depth.read(first).shape[:2]
     poses, world = _poses(path, table, frames, options.world)
-    by_axes = {"opengl": poses @ OPENCV_FROM_OPENGL, "opencv": poses}
+    by_axes = {"opengl": poses * np.diag(OPENCV_FROM_OPENGL), "opencv": poses}
     camera = SourceCamera(
         name=options.camera,
         frames=_names(path, frames),

@@ -47,7 +47,7 @@ def read(source: Path, options: PolycamOptions) -> SourceRecording:
         name=options.camera,
         frames=tuple(names),
         lens=lens,
-        world_from_cameras=poses @ OPENCV_FROM_OPENGL,
+        world_from_cameras=poses * np.diag(OPENCV_FROM_OPENGL),
         time=seconds(np.array([_stamp(files.members, name) for name in names]), "keyframes' names", unit="us").time,
         color=lambda i: decode_color(*files.content(files.color, names[i])),
         depth=lambda i: decode_depth(*files.content(files.depth, names[i])),

@@ -41,7 +41,8 @@ def read(source: Path, options: Record3dOptions) -> SourceRecording:
         name=options.camera,
         frames=tuple(str(n) for n in frames),
         lens=lens,
-        world_from_cameras=np.stack([poses[k] if k < len(poses) else unknown for k in places]) @ OPENCV_FROM_OPENGL,
+        world_from_cameras=np.stack([poses[k] if k < len(poses) else unknown for k in places])
+        * np.diag(OPENCV_FROM_OPENGL),
         time=time,
         color=lambda i: files.read_color(frames[i]),
         depth=lambda i: files.read_depth(frames[i]),
@@ -143,8 +144,8 @@ def _intrinsics(where: str, files: Record3dFiles, places: list[int]) -> tuple[Fl
 
 def _time(where: str, files: Record3dFiles, places: list[int]) -> tuple[Float[ndarray, " t"], str]:
     stamps = files.table.get("frameTimestamps")
-    if stamps and len(stamps) > max(places):
-        values = array(where, "frameTimestamps", stamps, ((-1,),))
+    values = array(where, "frameTimestamps", [] if stamps is None else stamps, ((-1,),))
+    if len(values) > max(places):
         clock = seconds(values, f"{where}: frameTimestamps", unit="s")
         return clock.time[places], "seconds, from frameTimestamps"
     fps = number(where, files.table, "fps", 30.0)

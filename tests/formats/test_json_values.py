@@ -25,6 +25,12 @@ def test_numbers_are_finite_and_no_booleans() -> None:
         number("a.json", table, "missing")
 
 
+@pytest.mark.parametrize("wrong", ["text", {"a": 1}, 3, None])
+def test_what_is_no_list_is_no_array_of_any_length(wrong: object) -> None:
+    with pytest.raises(BadData, match=r"a\.json: x: expected n numbers"):
+        array("a.json", "x", wrong, ((-1,),))
+
+
 def test_arrays_have_one_of_the_shapes() -> None:
     value = [[1, 2, 3], [4, 5, math.nan]]
     assert array("a.json", "x", value, ((2, 3),)).shape == (2, 3)

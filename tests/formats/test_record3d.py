@@ -188,6 +188,7 @@ def test_frames_of_a_part_of_the_numbers_have_the_poses_in_their_order(tmp_path:
         ({"dw": 20_000, "dh": 20_000}, "dw, dh: expected 1 to 100000000 pixels, got 20000 x 20000"),
         ({"dw": "16"}, "dw, dh: expected 1 to"),
         ({"dw": 17}, "size: expected 816 bytes when decoded, got 768"),
+        ({"frameTimestamps": "soon"}, "frameTimestamps: expected n numbers, got 'soon'"),
         ({"frameTimestamps": None, "fps": 0}, "fps: expected above 0, got 0"),
     ],
 )
