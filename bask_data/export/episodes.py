@@ -210,7 +210,8 @@ class Episodes:
         self._origins[name] = np.array(demonstration.metadata.origin)
         fps, n_gaps = _rate(demonstration.cameras[0])
         options = self.dataset.file.demonstrations[name].options
-        task = self.settings.task or str(options.get("task") or self.dataset.file.name)
+        stated = options.get("task") or demonstration.metadata.assumptions.get("task")
+        task = self.settings.task or str(stated or self.dataset.file.name)
         return Entry(name, split, task, n_frames, fps, n_gaps, track.manifest.digest, track.metadata.filter)
 
     def _columns(self, name: str) -> list[Column]:

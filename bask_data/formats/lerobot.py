@@ -81,7 +81,8 @@ def read(source: Path, options: LerobotOptions) -> SourceRecording:
         robot=robot.robot,
         label_names={},
         assumptions={
-            "episode": f"{name} of {info.fields.get('total_episodes', '?')}: {'; '.join(entry.tasks) or 'no task'}",
+            "episode": f"{name} of {info.fields.get('total_episodes', '?')}",
+            **({"task": "; ".join(entry.tasks)} if entry.tasks else {}),
             "camera axes": options.axes + ("" if options.axes == "opencv" else "; turned to OpenCV's"),
             **assumptions,
             **robot.assumptions,

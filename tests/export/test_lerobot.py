@@ -14,6 +14,7 @@ import pytest
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, UsageError
 from bask_data.export import ExportSettings, export, lerobot_files
+from bask_data.export.episodes import Episodes
 from bask_data.export.lerobot_stats import QUANTILES, image_stats, merged_stats, vector_stats
 from bask_data.formats import FORMATS
 from bask_data.formats.options.lerobot import LerobotOptions
@@ -255,6 +256,8 @@ def test_an_export_with_cameras_comes_back_through_ingest_with_the_same_numbers(
         np.testing.assert_array_equal(again.robot.gripper_width, demo.robot.gripper_width)
         np.testing.assert_array_equal(again.robot.action, demo.robot.action)
         assert again.metadata.action_names == list(demo.robot.action_names)
+        demo.publish_track(Dataset(tmp_path / "again"), f"x{i}")
+    assert {entry.task for entry in Episodes(Dataset(tmp_path / "again"), ExportSettings()).entries} == {"pour"}
 
 
 def test_depth_in_other_units_than_lerobots_is_noted(tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ def test_an_episode_in_the_middle_of_shared_files_is_read(filmed: Path) -> None:
     np.testing.assert_array_equal(camera.time, np.arange(4) / FPS)
     check_frames(recording, tolerance=HALF_STEP)
     check_frames(read(filmed, episode="0"), tolerance=HALF_STEP, rows=range(3))
-    assert recording.assumptions["episode"] == "1 of 2: stir"
+    assert (recording.assumptions["episode"], recording.assumptions["task"]) == ("1 of 2", "stir")
     assert camera.color(3).mean() > camera.color(0).mean() + 60  # Going back works, too.
     assert {file.name for file in recording.files} == {"info.json", "file-000.parquet", "file-000.mp4"}
     assert len(recording.files) == 5
@@ -238,7 +238,7 @@ def test_datasets_of_version_2_are_read(tmp_path: Path) -> None:
     recording = read(made.write(tmp_path / "d"))
     check_frames(recording, tolerance=HALF_STEP)
     np.testing.assert_array_equal(recording.cameras[0].world_from_cameras, POSES[3:])
-    assert recording.assumptions["episode"] == "1 of 2: task 1"
+    assert recording.assumptions["task"] == "task 1"
 
 
 def test_frames_that_a_video_lacks_are_faults_of_their_own(tmp_path: Path) -> None:
