@@ -87,6 +87,11 @@ As = Annotated[
     Literal["scan", "demonstration"], typer.Option("--as", help="A scan of a static scene, or a demonstration.")
 ]
 
+Picture = Annotated[
+    Path | None,
+    typer.Option("--picture", help="Write a picture of depth's edges over colour: do they lie on each other?"),
+]
+
 app = CommandList(
     name="ingest",
     no_args_is_help=True,
@@ -109,11 +114,14 @@ def _add_format(format: Format) -> None:
         parameter("as_", As, "scan"),
         *options_of(format.name, format.options),
         _replace("Replace an existing recording."),
+        parameter("picture", Picture, None),
         parameter("json_", Json, False),
     ]
 
-    def body(source: Path, root: Path, scene: str, as_: Any, force: bool, json_: bool, **options: Any) -> None:
-        run_ingest(IngestRequest(format, source, root, scene, as_, options, force, json_))
+    def body(
+        source: Path, root: Path, scene: str, as_: Any, force: bool, picture: Path | None, json_: bool, **options: Any
+    ) -> None:
+        run_ingest(IngestRequest(format, source, root, scene, as_, options, force, json_, picture))
 
     add_command(app, format.name, parameters, body, help=format.help, epilog=EXAMPLES.get(format.name))
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from bask_data.cli.console import say, show_outcome, shown_progress
 from bask_data.cli.options import checked_options
 from bask_data.cli.working import finish, quoted
+from bask_data.errors import UsageError
 from bask_data.formats import Format
 from bask_data.formats.options.common import SourceOptions
 
@@ -24,6 +25,7 @@ class IngestRequest:
 
     Args:
         options: those of the format that were set, by field.
+        picture: file for a picture of depth's edges over colour.
     """
 
     format: Format
@@ -34,6 +36,7 @@ class IngestRequest:
     options: dict[str, Any]
     force: bool = False
     as_json: bool = False
+    picture: Path | None = None
 
 
 def run_ingest(request: IngestRequest) -> None:
@@ -70,9 +73,11 @@ def _ingested(request: IngestRequest) -> Iterator[EpisodeIngested]:
         "force": request.force,
     }
     if are_several(str(getattr(options, "episode", ""))):
+        if request.picture:
+            raise UsageError("--picture", expected="one episode", got="several", fix="pass --episode NAME.")
         yield from ingest_episodes(request.root, request.scene, **arguments)
     else:
-        yield EpisodeIngested(request.scene, *ingest(request.root, request.scene, **arguments))
+        yield EpisodeIngested(request.scene, *ingest(request.root, request.scene, picture=request.picture, **arguments))
 
 
 def _show_assumption(name: str, text: str) -> None:

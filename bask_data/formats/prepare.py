@@ -27,6 +27,7 @@ from bask_data.formats.recording import (
     SourceCamera,
     SourceRecording,
 )
+from bask_data.formats.registration import registration
 
 FAR_ORIGIN = 1000.0
 """Metres from the origin at which the world is moved: float32, in which meshes and images are computed, has steps of
@@ -63,6 +64,7 @@ def prepared(source: Path, recording: SourceRecording, options: SourceOptions) -
         scale_option = "--depth-scale" if hasattr(options, "depth_scale") else ""
         agreements[camera.name] = agreement(ready, otherwise, scale_option=scale_option)
         assumptions[f"{prefix}agreement"] = agreements[camera.name].text
+        assumptions[f"{prefix}registration"] = registration(ready).text
         if not options.trust:
             agreements[camera.name].refuse(source, camera.name)
     if origin.any():

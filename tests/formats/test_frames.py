@@ -233,7 +233,15 @@ def test_arbitrary_bytes_in_a_file_give_frames_or_an_error_with_its_name(
 
 def test_assumptions_state_everything_that_the_files_do_not(tmp_path: Path) -> None:
     write_frames(tmp_path, np.eye(4)[None])
-    assert set(read(tmp_path).assumptions) == {"pose", "camera axes", "depth", "intrinsics", "time", "agreement"}
+    assert set(read(tmp_path).assumptions) == {
+        "pose",
+        "camera axes",
+        "depth",
+        "intrinsics",
+        "time",
+        "agreement",
+        "registration",
+    }
 
 
 def test_a_recording_is_consistent_in_its_own_convention_only(
