@@ -97,7 +97,9 @@ def _refuse(
         fix = fix.replace(" ROOT", f" {quoted(root)}")
         raise UsageError(source, "SOURCE", expected="a recording of a known format", got=got, fix=fix)
     described = [_described(guess, command_of(request, guess.missing)) for guess, request in requests]
-    lines = [line for each in described for line in (f"{each['format']}: {'; '.join(each['reasons'])}", each["run"])]
+    lines = [
+        line for each in described for line in (f"{each['format']}: {'; '.join(each['reasons'])}", each["command"])
+    ]
     print_result("ingest auto", lines, {"candidates": described}, as_json)
     raise UsageError(
         source,

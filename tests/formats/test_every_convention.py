@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from bask_data.cli.app import app
 from bask_data.dataset import Dataset
+from bask_data.formats import FORMATS
 from bask_data.kinds import Demonstration, Scan
 from tests.formats.views import Views, rendered
 from tests.formats.written_sources import SOURCES, Written
@@ -45,7 +46,9 @@ def test_one_command_gives_the_recording_back(convention: str, views: Views, tmp
     source, root = tmp_path / "source", tmp_path / "d"
     source.mkdir()
     written = SOURCES[convention](source, views)
-    answer = CliRunner().invoke(app, found_command(written, root))
+    words = found_command(written, root)
+    assert words[1] == (convention if convention in {format.name for format in FORMATS} else "frames")
+    answer = CliRunner().invoke(app, words)
     assert answer.exit_code == 0, answer.output
     dataset = Dataset(root)
     [scope] = [scope for scope in ("scene", "demonstration") if dataset.items(scope)]

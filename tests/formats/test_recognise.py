@@ -1,0 +1,205 @@
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from bask_data.cli.app import app
+from bask_data.dataset import Dataset
+from bask_data.formats import FORMATS
+from bask_data.formats.guess import Guess
+from bask_data.formats.listing import Listing
+from bask_data.formats.recognise import recognise
+from bask_data.formats.recognise_folders import RECOGNISERS
+from tests.formats.folders import images, rigid, write_frames, write_image
+from tests.formats.test_maniskill import written as write_maniskill
+from tests.formats.test_tum import write_sequence
+
+POSES = np.stack([rigid(np.random.default_rng(i)) for i in range(3)])
+
+
+def auto(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["ingest", "auto", *map(str, arguments)])
+
+
+def guess_at(source: Path) -> Guess:
+    [guess] = recognise(source).guesses
+    return guess
+
+
+def write_dump(folder: Path, color: str = "rgb/{}.png", depth: str = "depth/{}.png", pose: str = "pose/{}.txt") -> Path:
+    for i, (rgb, z) in enumerate(zip(*images(3), strict=True)):
+        if color:
+            write_image(folder / color.format(i), rgb)
+        if depth:
+            write_image(folder / depth.format(i), z)
+        if pose:
+            (folder / pose.format(i)).parent.mkdir(parents=True, exist_ok=True)
+            np.savetxt(folder / pose.format(i), POSES[i])
+    return folder
+
+
+def test_every_format_can_be_recognised() -> None:
+    assert {format.name for format in FORMATS} <= {"frames", *RECOGNISERS}
+
+
+@pytest.mark.parametrize(
+    ("color", "depth", "pose"),
+    [
+        ("rgb/{}.png", "depth/{}.png", "poses/{}.txt"),
+        ("color/frame{}.jpg", "depth/frame{}.png", "extrinsics/frame{}.txt"),
+        ("cam0/{}_image.png", "cam0/{}_depth.png", "cam0/{}_pose.txt"),
+        ("170{}.250000-color.png", "170{}.250000-depth.png", "170{}.250000.txt"),
+        ("colour/scene7_0{}.png", "aligned_depth_to_color/scene7_0{}.png", "world_from_camera/scene7_0{}.txt"),
+    ],
+)
+def test_patterns_of_a_dump_are_found_from_the_names(tmp_path: Path, color: str, depth: str, pose: str) -> None:
+    guess = guess_at(write_dump(tmp_path, color, depth, pose))
+    patterns = {name: guess.options[name].replace("scene7_0*", "scene7_*") for name in ("color", "depth", "pose")}
+    expected = {"color": color, "depth": depth, "pose": pose}
+    expected = {name: text.replace("170{}.250000", "{}").replace("{}", "*") for name, text in expected.items()}
+    assert patterns == {name: text.replace("scene7_0*", "scene7_*") for name, text in expected.items()}
+    assert guess.missing == {"intrinsics": "fx,fy,cx,cy"}
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("intrinsics.txt", "20 21 7.5 5.5\n"),
+        ("camera-intrinsics.color.txt", "20 0 7.5\n0 21 5.5\n0 0 1\n"),
+        ("K.txt", "[[20, 0, 7.5], [0, 21, 5.5], [0, 0, 1]]\n"),
+        ("camera_info.yaml", "image_width: 16\nK: [20, 0, 7.5, 0, 21, 5.5, 0, 0, 1]\n"),
+        ("camera.json", '{"fx": 20, "fy": 21, "cx": 7.5, "cy": 5.5}'),
+    ],
+)
+def test_files_with_intrinsics_are_found(tmp_path: Path, name: str, text: str) -> None:
+    write_dump(tmp_path)
+    (tmp_path / name).write_text(text)
+    (tmp_path / "notes.txt").write_text("1 2 3 4\n")
+    guess = guess_at(tmp_path)
+    assert (guess.options["intrinsics"], guess.missing) == (name, {})
+
+
+@pytest.mark.parametrize("name", ["trajectory.txt", "poses.txt", "CameraTrajectory.txt", "scene.log", "poses.npy"])
+def test_a_file_with_all_poses_is_found(tmp_path: Path, name: str) -> None:
+    write_dump(tmp_path, pose="")
+    if name.endswith(".npy"):
+        np.save(tmp_path / name, POSES)
+    elif name.endswith(".log"):
+        text = "".join(
+            f"{i} {i} {i + 1}\n" + "\n".join(" ".join(map(str, row)) for row in POSES[i]) + "\n" for i in range(3)
+        )
+        (tmp_path / name).write_text(text)
+    else:
+        np.savetxt(tmp_path / name, POSES.reshape(3, 16))
+    guess = guess_at(tmp_path)
+    assert (guess.format, guess.options["pose"]) == ("frames", name)
+
+
+def test_the_command_is_shown_and_run_only_with_yes(tmp_path: Path) -> None:
+    source, root = tmp_path / "my scan", tmp_path / "d"
+    write_dump(source)
+    (source / "intrinsics.txt").write_text("20 21 7.5 5.5\n")
+    shown = auto(source, root)
+    assert shown.exit_code == 0 and not root.exists()
+    assert f"bask-data ingest frames '{source}' {root} --scene my_scan --color 'rgb/*.png'" in shown.stdout
+    assert "3 colour files rgb/*.png" in shown.stdout
+    ran = auto(source, root, "--yes", "--scene", "a")
+    assert ran.exit_code == 0, ran.output
+    assert list(Dataset(root).file.scenes) == ["a"]
+    described = json.loads(auto(source, root, "--json").stdout)
+    assert described["format"] == "frames" and described["command"].startswith("bask-data ingest frames")
+    assert "intrinsics in intrinsics.txt" in described["reasons"]
+
+
+def test_what_no_file_states_is_a_placeholder_and_refused(tmp_path: Path) -> None:
+    write_sequence(tmp_path / "desk")
+    shown = auto(tmp_path / "desk", tmp_path / "d")
+    assert "--intrinsics fx,fy,cx,cy" in shown.stdout and "next: put in --intrinsics" in shown.stderr
+    refused = auto(tmp_path / "desk", tmp_path / "d", "--yes")
+    assert refused.exit_code == 2 and "bask-data ingest tum" in refused.stderr and not (tmp_path / "d").exists()
+
+
+def test_a_benchmarks_name_says_its_calibration(tmp_path: Path) -> None:
+    write_sequence(tmp_path / "rgbd_dataset_freiburg2_desk")
+    assert guess_at(tmp_path / "rgbd_dataset_freiburg2_desk").options == {"intrinsics": "freiburg2"}
+
+
+def test_a_robot_makes_a_demonstration_and_its_episodes_are_read_all(tmp_path: Path) -> None:
+    path = write_maniskill(tmp_path / "a.h5", n_trajectories=2)
+    shown = auto(path, tmp_path / "d").stdout
+    assert "--as demonstration --episode all" in shown and "2 episodes: traj_0, traj_1" in shown
+    assert "--as demonstration" not in auto(path, tmp_path / "d", "--as", "scan").stdout
+
+
+def test_several_formats_are_listed_and_none_is_run(tmp_path: Path) -> None:
+    write_sequence(tmp_path / "s")
+    (tmp_path / "s/odometry.csv").write_text("timestamp\n")
+    (tmp_path / "s/rgb.mp4").write_bytes(b"")
+    refused = auto(tmp_path / "s", tmp_path / "d", "--yes")
+    assert refused.exit_code == 2 and "tum, stray" in refused.stderr and not (tmp_path / "d").exists()
+    assert "bask-data ingest tum" in refused.stdout and "bask-data ingest stray" in refused.stdout
+
+
+def test_one_level_too_high_or_low_is_seen(tmp_path: Path) -> None:
+    write_dump(tmp_path / "all/first/data")
+    assert guess_at(tmp_path / "all/first").source.samefile(tmp_path / "all/first/data") or guess_at(
+        tmp_path / "all/first"
+    ).options["color"].startswith("data/")
+    write_sequence(tmp_path / "two/first")
+    write_sequence(tmp_path / "two/second")
+    refused = auto(tmp_path / "two", tmp_path / "d")
+    assert refused.exit_code == 2 and "first (tum), second (tum)" in refused.stderr
+    assert f"fix: bask-data ingest auto {tmp_path}/two/first {tmp_path}/d" in refused.stderr
+    for inside in ("rgb", "rgb.txt"):
+        refused = auto(tmp_path / "two/first" / inside, tmp_path / "d")
+        assert refused.exit_code == 2 and f"ingest auto {tmp_path}/two/first {tmp_path}/d" in refused.stderr
+
+
+def test_without_poses_they_are_found_from_the_images(tmp_path: Path) -> None:
+    guess = guess_at(write_dump(tmp_path, pose=""))
+    assert guess.format == "colmap" and guess.options == {"images": "rgb/*.png", "depth": "depth/*.png"}
+
+
+@pytest.mark.parametrize(
+    ("parts", "got", "fix"),
+    [
+        ({"depth": "", "pose": ""}, "3 images rgb/*.png, but no depth", "depth is needed"),
+        ({"color": "", "pose": ""}, "3 depth images depth/*.png, but no colour", "add colour images"),
+        ({"depth": "depth/1{}0.png"}, "no number in common", "associations.txt"),
+    ],
+)
+def test_what_is_missing_is_named(tmp_path: Path, parts: dict[str, str], got: str, fix: str) -> None:
+    refused = auto(write_dump(tmp_path / "s", **parts), tmp_path / "d")
+    assert refused.exit_code == 2 and got in refused.stderr and fix in refused.stderr
+
+
+def test_archives_and_other_files_are_named(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "scan.zip", "w") as archive:
+        archive.writestr("rgb/0.png", b"")
+    refused = auto(tmp_path / "scan.zip", tmp_path / "d")
+    assert refused.exit_code == 2 and "a zip file with rgb/0.png" in refused.stderr and "unpack it" in refused.stderr
+    assert "unpack scan.zip" in auto(tmp_path, tmp_path / "d").stderr
+    (tmp_path / "scan.zip").unlink()
+    (tmp_path / "scan.zip").write_bytes(b"PK\x03\x04 no more")
+    assert "a damaged or empty zip file" in auto(tmp_path / "scan.zip", tmp_path / "d").stderr
+    (tmp_path / "empty").mkdir()
+    refused = auto(tmp_path / "empty", tmp_path / "d")
+    assert refused.exit_code == 2 and "an empty folder" in refused.stderr and "docs/formats.md" in refused.stderr
+
+
+def test_hidden_files_and_links_out_are_not_looked_at(tmp_path: Path) -> None:
+    write_frames(tmp_path / "elsewhere", POSES)
+    write_dump(tmp_path / "s")
+    for name in ("._0.png", ".DS_Store"):
+        (tmp_path / "s/rgb" / name).write_bytes(b"\x00\x05")
+    (tmp_path / "s/linked").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "s/camera-intrinsics.txt").symlink_to(tmp_path / "elsewhere/frame-000000.pose.txt")
+    listing = Listing(tmp_path / "s")
+    assert listing.all_folders == ("", "depth", "pose", "rgb")
+    assert "._0.png" not in listing.files("rgb") and listing.head("camera-intrinsics.txt") == b""
+    assert guess_at(tmp_path / "s").options["color"] == "rgb/*.png"
