@@ -216,8 +216,7 @@ def plane_axes(plane: Float[ndarray, "4"]) -> Float[ndarray, "2 3"]:
 
 def largest_patch(xy: Float[ndarray, "n 2"], weights: Float[ndarray, "n"]) -> Bool[ndarray, "n"]:
     """Points of the heaviest connected part, so that a shelf at the same height does not extend the table."""
-    cells = np.floor(xy / PATCH_CELL).astype(np.int64)
-    cells -= cells.min(axis=0)
+    cells = np.floor((xy - xy.min(axis=0)) / PATCH_CELL).astype(np.int64)
     grid = np.zeros(cells.max(axis=0) + 1, bool)
     grid[cells[:, 0], cells[:, 1]] = True
     parts = label(grid, structure=np.ones((3, 3)))[0][cells[:, 0], cells[:, 1]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import open3d as o3d
@@ -72,6 +72,7 @@ class Volume:
         voxel_size: edge of a voxel, metres.
         truncation_voxels: distance around a surface in which the TSDF is kept, voxels.
         bounds: (2, 3) lowest and highest corner of the workspace, world frame, metres; None for no limit.
+        origin: point of the world where the lattice of voxels begins. If it moves with the scene, so does the surface.
         n_blocks: voxel blocks to reserve (`expected_blocks`). If more are needed the volume grows, which takes seconds
             and, for a moment, the memory of the old and the new one.
         max_blocks: most blocks it may grow to; None for no limit.
@@ -87,6 +88,7 @@ class Volume:
         bounds: Float[ndarray, "2 3"] | None = None,
         n_blocks: int = 10_000,
         max_blocks: int | None = None,
+        origin: Float[ndarray, "3"] | None = None,
     ) -> None:
         if not voxel_size > 0:
             raise ValueError(f"voxel_size: expected > 0 metres, got {voxel_size}")
@@ -97,6 +99,7 @@ class Volume:
         self.voxel_size = voxel_size
         self.truncation_voxels = truncation_voxels
         self.bounds = bounds
+        self.origin = np.zeros(3) if origin is None else origin
         self.n_integrated = 0
         self.n_grown = 0
         self.max_blocks = max_blocks
@@ -130,14 +133,14 @@ class Volume:
         """
         if depth.shape != rgb.shape[:2]:
             raise ValueError(f"rgb: expected the size of the depth image {depth.shape}, got {rgb.shape[:2]}")
-        view = _View.of(depth, K, world_from_camera, self.voxel_size)
+        view = _View.of(depth, K, world_from_camera, self.voxel_size, self.origin)
         if view is None:
             return False
         from_numpy = o3d.core.Tensor.from_numpy
         rgb_image = o3d.t.geometry.Image(from_numpy(np.multiply(rgb, np.float32(1 / 255), dtype=np.float32)))
         blocks = view.blocks(self._grid, self.truncation_voxels)
         if self.bounds is not None:
-            blocks = blocks[from_numpy(blocks_inside(blocks.numpy(), self.voxel_size, self.bounds))]
+            blocks = blocks[from_numpy(blocks_inside(blocks.numpy(), self.voxel_size, self.bounds, self.origin))]
         if blocks.shape[0] == 0:
             return False
         at_once = self._make_room(blocks)
@@ -201,9 +204,12 @@ class Volume:
         triangles = extracted.triangle.indices.numpy().astype(np.int64)
         colors = extracted.vertex.colors.numpy()
         if self.bounds is not None:
-            inside = ((vertices >= self.bounds[0]) & (vertices <= self.bounds[1])).all(axis=1)
+            lowest, highest = self.bounds - self.origin
+            inside = ((vertices >= lowest) & (vertices <= highest)).all(axis=1)
             triangles = triangles[inside[triangles].all(axis=1)]
-        return canonical(vertices, triangles, colors)
+        mesh = canonical(vertices, triangles, colors)
+        # In this order: rounding makes neighbours in it equal.
+        return replace(mesh, vertices=(mesh.vertices + self.origin).astype(np.float32))
 
 
 def canonical(vertices: Float[ndarray, "n 3"], triangles: Int[ndarray, "m 3"], colors: Float[ndarray, "n 3"]) -> Mesh:
@@ -262,18 +268,23 @@ def touched_blocks(
     world_from_camera: Float[ndarray, "4 4"],
     voxel_size: float,
     truncation_voxels: float = 5.0,
+    origin: Float[ndarray, "3"] | None = None,
 ) -> Int32[ndarray, "n 3"]:
-    """The voxel blocks that fusing a frame would touch."""
-    view = _View.of(depth, K, world_from_camera, voxel_size)
+    """The voxel blocks that fusing a frame would touch; `origin` as for `Volume`."""
+    view = _View.of(depth, K, world_from_camera, voxel_size, np.zeros(3) if origin is None else origin)
     if view is None:
         return np.zeros((0, 3), np.int32)
     return view.blocks(_grid(voxel_size, 1), truncation_voxels).numpy()
 
 
 def blocks_inside(
-    blocks: Int32[ndarray, "n 3"], voxel_size: float, bounds: Float[ndarray, "2 3"]
+    blocks: Int32[ndarray, "n 3"],
+    voxel_size: float,
+    bounds: Float[ndarray, "2 3"],
+    origin: Float[ndarray, "3"] | None = None,
 ) -> Bool[ndarray, "n"]:
-    """Blocks that intersect the bounds, widened by the one voxel that the surface at the bounds depends on."""
+    """Blocks that intersect the bounds, widened by the one voxel that the surface at them depends on."""
+    bounds = bounds if origin is None else bounds - origin
     lowest = (blocks * BLOCK_RESOLUTION + HALF_VOXEL) * voxel_size
     highest = lowest + BLOCK_RESOLUTION * voxel_size
     return ((highest > bounds[0] - voxel_size) & (lowest < bounds[1] + voxel_size)).all(axis=1)
@@ -343,6 +354,7 @@ class _View:
         K: Float[ndarray, "3 3"],
         world_from_camera: Float[ndarray, "4 4"],
         voxel_size: float,
+        origin: Float[ndarray, "3"],
     ) -> _View | None:
         """A frame; None without any measurement, for which Open3D would abort the process.
 
@@ -356,7 +368,7 @@ class _View:
         from_numpy = o3d.core.Tensor.from_numpy
         shift = np.array([[0, 0, HALF_PIXEL], [0, 0, HALF_PIXEL], [0, 0, 0]])
         world_from_grid = np.eye(4)
-        world_from_grid[:3, 3] = HALF_VOXEL * voxel_size
+        world_from_grid[:3, 3] = origin + HALF_VOXEL * voxel_size
         return _View(
             o3d.t.geometry.Image(from_numpy(np.ascontiguousarray(depth))),
             from_numpy(K + shift),

@@ -27,7 +27,11 @@ def sampled_points(
 
 
 def estimated_workspace(
-    clouds_world: Iterable[Float[ndarray, "_ 3"]], cell: float = 0.05, min_share: float = 0.2, margin: float = 0.02
+    clouds_world: Iterable[Float[ndarray, "_ 3"]],
+    cell: float = 0.05,
+    min_share: float = 0.2,
+    margin: float = 0.02,
+    origin: Float[ndarray, "3"] | None = None,
 ) -> Float[ndarray, "2 3"] | None:
     """The box (2, 3) around what several frames see, lowest and highest corner, world frame, metres; None without any
     measurement.
@@ -40,12 +44,14 @@ def estimated_workspace(
         clouds_world: points of each frame, metres (`sampled_points`).
         cell: edge of a cell, metres; the default assumes a tabletop, as does that of `margin`.
         margin: metres added on each side.
+        origin: point of the world where cells begin. If it moves with the scene, so does the box.
     """
     clouds = [cloud for cloud in clouds_world if len(cloud)]
     if not clouds:
         return None
     points = np.concatenate(clouds)
-    cells, i_cell = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_inverse=True)
+    begun = points if origin is None else points - origin
+    cells, i_cell = np.unique(np.floor(begun / cell).astype(np.int64), axis=0, return_inverse=True)
     i_cell = i_cell.reshape(-1)
     i_frame = np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds])
     n_frames = np.bincount(np.unique(i_cell * len(clouds) + i_frame) // len(clouds), minlength=len(cells))

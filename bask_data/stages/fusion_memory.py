@@ -42,6 +42,7 @@ class Survey:
         n_blocks: estimated number of blocks that all frames touch.
         voxel_size: metres.
         truncation: distance around a surface in which the TSDF is kept, voxels.
+        origin: (3,) where the lattice of voxels begins, world frame, metres.
     """
 
     bounds: np.ndarray
@@ -49,6 +50,7 @@ class Survey:
     n_blocks: int
     voxel_size: float
     truncation: float
+    origin: np.ndarray
 
 
 def most_blocks(survey: Survey, max_memory: str) -> int:

@@ -34,6 +34,8 @@ from bask_data.stages.mesh_quality import (
 )
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from bask_data.core.tsdf import Mesh
 
 N_SURVEYED = 24
@@ -89,7 +91,7 @@ class ReconstructParams(Params):
         return box
 
 
-@stage(makes=Reconstruction, version=2)
+@stage(makes=Reconstruction, version=3)
 def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
     """Fuse a scan's depth images into a triangle mesh.
 
@@ -198,14 +200,15 @@ def _survey(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) 
 
     poses = {(camera.name, camera.world_from_cameras[i].tobytes()): (camera, i) for camera, i in reversed(frames)}
     moved = list(poses.values())[::-1]
+    origin = _origin(scan)
     clouds, touched = [], []
     for i_chosen in progress(spread_evenly(len(moved), N_SURVEYED), "looking over the scan"):
         camera, i_frame = moved[i_chosen]
         measured = depth.cleaned(camera.depth(i_frame), params.near, params.far)
         view = (measured, camera.Ks[i_frame], camera.world_from_cameras[i_frame])
         clouds.append(workspace.sampled_points(*view))
-        touched.append(tsdf.touched_blocks(*view, params.voxel_size, params.truncation))
-    bounds = workspace.estimated_workspace(clouds)
+        touched.append(tsdf.touched_blocks(*view, params.voxel_size, params.truncation, origin))
+    bounds = workspace.estimated_workspace(clouds, origin=origin)
     if bounds is None:
         raise BadData(
             scan.path,
@@ -216,14 +219,21 @@ def _survey(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) 
         )
     if params.workspace is not None:
         bounds = np.reshape(params.workspace, (2, 3)).astype(float)
-    inside = [blocks[tsdf.blocks_inside(blocks, params.voxel_size, bounds)] for blocks in touched]
+    inside = [blocks[tsdf.blocks_inside(blocks, params.voxel_size, bounds, origin)] for blocks in touched]
     return Survey(
         bounds=bounds,
         blocks=np.unique(np.concatenate(inside), axis=0),
         n_blocks=tsdf.expected_blocks(inside, len(moved)),
         voxel_size=params.voxel_size,
         truncation=params.truncation,
+        origin=origin,
     )
+
+
+def _origin(scan: Scan) -> np.ndarray:
+    """Where the lattice of voxels begins, world frame, metres: at the first camera, so that a scene gives the same
+    surface wherever its world has its origin."""
+    return scan.cameras[0].world_from_cameras[0, :3, 3]
 
 
 # Fusion ---------------------------------------------------------------------------------------------------------------
@@ -245,7 +255,9 @@ def _fused(scan: Scan, frames: list[FrameOfCamera], survey: Survey, params: Reco
     from bask_data.core import depth, fit, tsdf
 
     most = most_blocks(survey, params.max_memory)
-    volume = tsdf.Volume(params.voxel_size, params.truncation, survey.bounds, survey.n_blocks, most)
+    volume = tsdf.Volume(
+        params.voxel_size, params.truncation, survey.bounds, survey.n_blocks, most, origin=survey.origin
+    )
     fine = set(spread_evenly(len(frames), N_SEARCHED))
     notes = []
     for k, (camera, i_frame) in enumerate(progress(frames, "fusing frames")):

@@ -142,7 +142,8 @@ def test_a_world_far_away_gets_an_origin_nearby_for_cameras_robot_and_objects_al
     robot, pose = RobotRecording(poses), ObjectPose(poses[0], 0.0)
     recording = recording_of(replace(camera, world_from_cameras=poses), robot=robot, object_poses={7: pose})
     result = prepared(Path(), recording, SourceOptions())
-    assert result.origin == (441500.0, 5121900.0, 200.0)
+    middle = np.median(poses[:, :3, 3], axis=0)
+    assert np.abs(result.origin - middle).max() <= 0.5 and np.array_equal(result.origin, np.rint(result.origin))
     moved = near.copy()
     moved[:, :3, 3] += far - result.origin
     assert np.allclose(result.cameras[0].world_from_cameras, moved, atol=1e-9)

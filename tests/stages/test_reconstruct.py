@@ -18,7 +18,7 @@ from bask_data.stages.reconstruct import reconstruct
 from tests.datasets import publish_artifact, publish_recording
 from tests.scenes import Box, Plane, Scene, Sphere, intrinsics, look_at, noisy, orbit
 
-GOLDEN = Path(__file__).parent / "golden" / "reconstruct_v2.npz"
+GOLDEN = Path(__file__).parent / "golden" / "reconstruct_v3.npz"
 HEIGHT, WIDTH = 96, 128
 K = intrinsics(HEIGHT, WIDTH)
 SCENE = Scene(
@@ -27,13 +27,20 @@ SCENE = Scene(
 OPTIONS = {"voxel_size": 0.006}
 
 
-def scan_of(root: Path, n_frames: int = 9, blind: tuple[int, ...] = (), sigma: float = 0.001) -> Dataset:
-    """A dataset with one scan of the scene; `blind` frames measure nothing."""
+def scan_of(
+    root: Path,
+    n_frames: int = 9,
+    blind: tuple[int, ...] = (),
+    sigma: float = 0.001,
+    offset: np.ndarray | tuple[float, ...] = (0.0, 0.0, 0.0),
+) -> Dataset:
+    """A dataset with one scan of the scene, moved by `offset`; `blind` frames measure nothing."""
     dataset = Dataset.create(root)
     rng = np.random.default_rng(0)
     cameras = orbit(n_frames, radius=0.5)
     views = [SCENE.render(K, camera, HEIGHT, WIDTH) for camera in cameras]
     depth = [noisy(view.depth, sigma, rng) * (i not in blind) for i, view in enumerate(views)]
+    cameras[:, :3, 3] += offset
     publish_recording(dataset, "a", rgb=[view.rgb for view in views], depth=depth, K=K, world_from_cameras=cameras)
     return dataset
 
@@ -105,6 +112,15 @@ def test_result_is_that_of_this_version(tmp_path: Path) -> None:
     assert np.allclose(mesh.vertices, golden["vertices"], atol=1e-5)
     assert np.array_equal(mesh.triangles, golden["triangles"])
     assert np.abs(mesh.colors.astype(int) - golden["colors"]).max() <= 1
+
+
+def test_a_scene_gives_the_same_surface_wherever_its_world_begins(tmp_path: Path) -> None:
+    offset = np.array([47.502, -46.513, 45.087])
+    near = result(scan_of(tmp_path / "near"))
+    far = result(scan_of(tmp_path / "far", offset=offset))
+    assert np.allclose(np.subtract(far.metadata.bounds, near.metadata.bounds), np.tile(offset, 2), atol=1e-6)
+    assert np.abs(far.vertices - offset - near.vertices).max() < 1e-5
+    assert np.array_equal(far.triangles, near.triangles)
 
 
 def test_what_cannot_be_is_said_in_words(tmp_path: Path) -> None:
