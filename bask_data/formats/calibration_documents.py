@@ -104,7 +104,9 @@ def _intrinsics(fields: dict[str, Any]) -> list[float] | None:
     for keys in FOCAL:
         if all(_is_number(fields.get(key)) for key in keys):
             return [float(fields[key]) for key in keys]
-    return next((values for key in MATRICES if (values := _numbers(fields.get(key))) and len(values) >= 4), None)
+    found = ((fields.get(key), _numbers(fields.get(key))) for key in MATRICES)
+    # Four numbers are fx, fy, cx, cy, but not those of a 2x2 matrix.
+    return next((values for value, values in found if values and (len(values) >= 9 or value == values)), None)
 
 
 def _numbers(value: Any) -> list[float] | None:

@@ -144,8 +144,8 @@ def read_calibration(folder: Folder, text: str) -> CameraIntrinsics:
     lines = read_lines(path)
     if path.suffix.lower() in DOCUMENTS or (lines and lines[0][0] in "{%"):
         document = read_document(path)
-        calibration = calibration_of_numbers(path, document.intrinsics)
-        calibration = replace(calibration, distortion=document.distortion, size=document.size)
+        K = intrinsics_matrix(path, document.intrinsics)
+        calibration = CameraIntrinsics(K, document.distortion, document.size)
     else:
         calibration = calibration_of_numbers(path, [value for line in lines for value in numbers(path, line)])
     return replace(calibration, files=(path,))
@@ -155,7 +155,7 @@ def calibration_of_numbers(where: Path | str, values: list[float]) -> CameraIntr
     """Intrinsics and, after them, OpenCV's distortion; `BadData` for another count or no pinhole matrix."""
     n = len(values)
     if n == 12 and values[8:11] == [0, 0, 1]:  # ROS's projection matrix, 3x4
-        return CameraIntrinsics(intrinsics_matrix(where, [*values, 0, 0, 0, 1]))
+        return CameraIntrinsics(intrinsics_matrix(where, [*values, 0.0, 0.0, 0.0, 1.0]))
     if n not in N_WITH_DISTORTION or (n == 9 and not (values[3] > 0 and _is_moderate(values[4:]))):
         return CameraIntrinsics(intrinsics_matrix(where, values))
     n_first = 9 if n > 12 else 4

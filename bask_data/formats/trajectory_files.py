@@ -82,7 +82,7 @@ def read_trajectory(path: Path, layout: PoseLayout) -> Trajectory:
     lines = numbered_lines(path)
     rows = [numbers(path, line) for _, line in lines]
     lengths = {len(row) for row in rows}
-    if lengths <= {4} or (len(rows) >= 4 and len(rows[0]) <= 4 and lengths <= {1, 2, 3, 4}):
+    if lengths == {4} or (len(rows) >= 4 and len(rows[0]) <= 4 and lengths <= {1, 2, 3, 4}):
         return _of_blocks(path, rows, [i for i, _ in lines], layout)
     if len(lengths) == 1 and (length := lengths.pop()) in (*POSE_LENGTHS, *(n + 1 for n in POSE_LENGTHS)):
         has_key = length not in POSE_LENGTHS
