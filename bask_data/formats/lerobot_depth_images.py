@@ -46,9 +46,9 @@ def episode_depth(
     feature = camera.depth
     if feature.dtype == "video":
         return _filmed_depth(rows, entry, camera, time, options)
-    images = depth_images(rows, feature)
+    images = depth_images(rows, entry, feature)
     column = f"camera.{camera.name}.depth_scale"
-    scale, why = unit_of(feature, images.read(0).dtype != np.uint16)
+    scale, why = unit_of(feature, images.is_float)
     if options.depth_scale is not None:
         scale, why = options.depth_scale, "given"
     elif rows.has(column):

@@ -13,17 +13,15 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from bask_data.errors import BadData
-from bask_data.formats.files import read_bytes
 from bask_data.formats.images import MAX_PIXELS, decode_color
 from bask_data.formats.lerobot_columns import EpisodeRows
 from bask_data.formats.lerobot_depth import decode_depth, depth_of_array
 from bask_data.formats.lerobot_episodes import EpisodeEntry
+from bask_data.formats.lerobot_image_files import EpisodeFiles
 from bask_data.formats.lerobot_info import Feature
 from bask_data.formats.lerobot_videos import of_video
 from bask_data.formats.parquet_values import RowValues
 from bask_data.formats.recording import Depth
-
-REMOTE = ("http://", "https://", "hf://", "s3://")
 
 
 @dataclass(frozen=True)
@@ -34,53 +32,14 @@ class FrameImages:
         size: (height, width), pixels.
         read: RGB or raw depth of a frame.
         faults: why frames have no image.
+        is_float: whether it is depth in floating point.
     """
 
     size: tuple[int, int]
     files: tuple[Path, ...]
     read: Callable[[int], Any]
     faults: dict[int, BadData] = field(default_factory=dict)
-
-
-class EpisodeFiles:
-    """Image files in a column of the table: inside it, or by paths that lie inside the dataset."""
-
-    def __init__(self, rows: EpisodeRows, feature: Feature) -> None:
-        self._rows, self._key = rows, feature.key
-        self._cells = RowValues(rows.table.path, feature.key)
-        self._is_inside = self._cells.files_of(rows.rows.start)[0] is not None
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """Files outside the table."""
-        if self._is_inside:
-            return ()
-        found = (self._cells.files_of(row)[1] for row in self._rows.rows)
-        return tuple(self._file(path) for path in found if path)
-
-    def read(self, i: int) -> tuple[str, bytes]:
-        """A name for messages, and the content of the frame's image file."""
-        row = self._rows.rows[i]
-        data, path = self._cells.files_of(row)
-        where = f"{self._rows.table.path}: {self._key} of row {row}"
-        if data is not None:
-            return where, data
-        if path is None:
-            raise BadData(where, "image", expected="bytes or a path", got="neither", fix="copy the table again.")
-        file = self._file(path)
-        return str(file), read_bytes(file)
-
-    def _file(self, path: str) -> Path:
-        folder = self._rows.info.folder
-        if path.startswith(REMOTE):
-            raise BadData(
-                folder.path,
-                self._key,
-                expected="images in the dataset",
-                got=f"an address: {path[:80]}",
-                fix="download the dataset with its images.",
-            )
-        return folder.member(path, self._key)
+    is_float: bool = False
 
 
 def color_images(rows: EpisodeRows, entry: EpisodeEntry, feature: Feature, time: Float[ndarray, " t"]) -> FrameImages:
@@ -89,13 +48,7 @@ def color_images(rows: EpisodeRows, entry: EpisodeEntry, feature: Feature, time:
         video = of_video(rows, entry, feature, time)
         return FrameImages(video.video.size, (video.video.path,), video.color, video.faults)
     if feature.dtype == "image":
-        images = EpisodeFiles(rows, feature)
-
-        def read(i: int) -> UInt8[ndarray, "h w 3"]:
-            return decode_color(*images.read(i))
-
-        height, width = read(0).shape[:2]
-        return FrameImages((height, width), images.files, read)
+        return _of_files(EpisodeFiles(rows, entry, feature), decode_color)
     cells, size = RowValues(rows.table.path, feature.key), array_size(rows, feature)
 
     def read_array(i: int) -> UInt8[ndarray, "h w 3"]:
@@ -109,16 +62,10 @@ def color_images(rows: EpisodeRows, entry: EpisodeEntry, feature: Feature, time:
     return FrameImages(size, (), read_array)
 
 
-def depth_images(rows: EpisodeRows, feature: Feature) -> FrameImages:
+def depth_images(rows: EpisodeRows, entry: EpisodeEntry, feature: Feature) -> FrameImages:
     """Depth of an episode from image files or arrays."""
     if feature.dtype == "image":
-        images = EpisodeFiles(rows, feature)
-
-        def read(i: int) -> Depth:
-            return decode_depth(*images.read(i))
-
-        height, width = read(0).shape
-        return FrameImages((height, width), images.files, read)
+        return _of_files(EpisodeFiles(rows, entry, feature), decode_depth)
     cells, size = RowValues(rows.table.path, feature.key), array_size(rows, feature)
 
     def read_array(i: int) -> Depth:
@@ -127,7 +74,22 @@ def depth_images(rows: EpisodeRows, feature: Feature) -> FrameImages:
             raise _not_image(rows, feature, i, values)
         return depth_of_array(f"{rows.table.path}: {feature.key} of frame {i}", values.reshape(size))
 
-    return FrameImages(size, (), read_array)
+    return FrameImages(size, (), read_array, is_float=feature.dtype.startswith("float"))
+
+
+def _of_files(images: EpisodeFiles, decode: Callable[[str, bytes], ndarray]) -> FrameImages:
+    """Images of files, whose size is that of the first one that decodes; `BadData` if none does."""
+    first: BadData | None = None
+    for i in range(images.n_frames):
+        try:
+            image = decode(*images.read(i))
+        except BadData as error:
+            first = first or error
+        else:
+            size, is_float = (image.shape[0], image.shape[1]), image.dtype.kind == "f"
+            return FrameImages(size, images.files, lambda i: decode(*images.read(i)), images.faults, is_float)
+    assert first is not None
+    raise first
 
 
 def array_size(rows: EpisodeRows, feature: Feature) -> tuple[int, int]:

@@ -194,6 +194,25 @@ def test_images_beside_the_table_are_read_and_belong_to_the_source(tmp_path: Pat
     assert [file.name for file in recording.files if file.suffix == ".png"] == [Path(p).name for p in paths[3:]]
 
 
+@pytest.mark.parametrize("column", ["none", "names", "absolute"])
+def test_images_where_lerobot_puts_them_are_found_and_missing_ones_are_faults(tmp_path: Path, column: str) -> None:
+    made = LerobotSet()
+    paths = [f"{'/home/else/' * (column == 'absolute')}frame-{i:06d}.tiff" for i in range(N_FRAMES)]
+    made.replace_video(WRIST_DEPTH, made.files([None] * N_FRAMES, paths), dtype="image")
+    if column == "none":
+        del made.columns[WRIST_DEPTH]
+    folder = made.write(tmp_path / "d")
+    beside = folder / f"images/{WRIST_DEPTH}/episode-000001"
+    beside.mkdir(parents=True)
+    for i in range(4):
+        (beside / f"frame-{i:06d}.tiff").write_bytes(tiff(depth_mm(3 + i)))
+    check_frames(read(folder))
+    (beside / "frame-000000.tiff").unlink()
+    camera = read(folder).cameras[0]
+    assert list(camera.faults) == [0]
+    np.testing.assert_array_equal(camera.depth(1), depth_mm(4))
+
+
 @pytest.mark.parametrize(
     ("path", "message"),
     [
