@@ -76,6 +76,10 @@ EXAMPLES = {
     "robomimic": """
     bask-data ingest robomimic can/image_depth.hdf5 data/cans --scene can --as demonstration --episode demo_7
     """,
+    "rosbag": """
+    bask-data ingest rosbag table.bag data/demo --scene table --frames ::10
+    bask-data ingest rosbag bags/pour data/demo --scene pour1 --as demonstration --gripper-frame tool0
+    """,
     "sim": """
     bask-data ingest sim data/demo --task lid
     bask-data ingest sim data/demo --task phone --scans 10 --demonstrations 20 --clutter 4

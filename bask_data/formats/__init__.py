@@ -34,6 +34,7 @@ from bask_data.formats.options.polycam import PolycamOptions
 from bask_data.formats.options.record3d import Record3dOptions
 from bask_data.formats.options.rlbench import RlbenchOptions
 from bask_data.formats.options.robomimic import RobomimicOptions
+from bask_data.formats.options.rosbag import RosbagOptions
 from bask_data.formats.options.scannet import ScannetOptions
 from bask_data.formats.options.stray import StrayOptions
 from bask_data.formats.options.tum import TumOptions
@@ -133,6 +134,12 @@ FORMATS = (
         "Images with depth and a COLMAP model; or without poses, which COLMAP then finds. Depth gives the scale.",
         ColmapOptions,
         "The folder with images, depth, and the model if there is one.",
+    ),
+    Format(
+        "rosbag",
+        "A bag of ROS 1 or ROS 2: images, CameraInfo and tf, by RealSense's and others' topics.",
+        RosbagOptions,
+        "The .bag file, the folder of a ROS 2 bag, its .mcap or .db3 file, or a folder of bags.",
     ),
     Format("apc", "A MIT-Princeton APC scene: bit-rotated depth, poses, labels where there are any.", ApcOptions),
     Format(
