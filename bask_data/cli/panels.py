@@ -104,6 +104,14 @@ PANELS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         EVERYDAY: ("camera", "model", "images", "depth", "intrinsics", "align_to", "fps", "frames"),
         "Conventions of the files": ("depth_scale", "invalid_depth", "intrinsics_size"),
     },
+    "rosbag": {
+        EVERYDAY: ("camera", "frames", "episode", "split"),
+        "Topics": ("color_topic", "depth_topic", "camera_info_topic", "depth_info_topic"),
+        "Poses": ("world", "camera_frame", "pose_topic", "pose_frame", "ignore_tf"),
+        "Robot": ("gripper_frame", "gripper_joints"),
+        "Times": ("stamps", "max_time_difference", "max_pose_gap"),
+        "Depth and lens": ("intrinsics", "intrinsics_size", "depth_scale"),
+    },
     "sim": {
         EVERYDAY: ("seed", "cameras", "frames", "height", "width"),
         "Scene": ("background_seed", "clutter", "finished", "distance_spread", "gripper_in_view"),

@@ -19,7 +19,7 @@ from typing import NamedTuple, Protocol
 from bask_data.errors import BadData, imported
 from bask_data.formats.files import MAX_IMAGE_BYTES
 
-HEAD_BYTES = 512
+MESSAGE_HEAD_BYTES = 512
 """Bytes of a message that hold its header: a stamp, and a frame's name of up to this length less 20."""
 
 N_CHUNKS_KEPT = 4
@@ -46,7 +46,7 @@ class MessagePlace(NamedTuple):
 
 
 class Message(NamedTuple):
-    """A message of a topic; its first `HEAD_BYTES` or all of its bytes."""
+    """A message of a topic; its first `MESSAGE_HEAD_BYTES` or all of its bytes."""
 
     topic: str
     place: MessagePlace

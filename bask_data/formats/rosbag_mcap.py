@@ -8,7 +8,7 @@ from pathlib import Path
 
 from bask_data.errors import imported
 from bask_data.formats.files import MAX_IMAGE_BYTES
-from bask_data.formats.rosbag_files import HEAD_BYTES, Chunks, Read, Topic, counted
+from bask_data.formats.rosbag_files import MESSAGE_HEAD_BYTES, Chunks, Read, Topic, counted
 
 
 class McapPart:
@@ -71,7 +71,7 @@ class McapPart:
             if kind == 5:
                 channel, _, arrival = struct.unpack_from("<HIQ", head, 9)
                 if topic := wanted.get(channel):
-                    n_data = size - 22 if whole[topic] else min(size - 22, HEAD_BYTES)
+                    n_data = size - 22 if whole[topic] else min(size - 22, MESSAGE_HEAD_BYTES)
                     if not 0 <= n_data <= MAX_IMAGE_BYTES:
                         raise ValueError(f"a message of {n_data} bytes")
                     yield topic, (arrival, chunk, at), read(at + 31, n_data)

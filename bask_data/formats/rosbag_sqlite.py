@@ -8,8 +8,8 @@ from pathlib import Path
 from urllib.parse import quote
 
 from bask_data.errors import imported
-from bask_data.formats.files import MAX_IMAGE_BYTES
-from bask_data.formats.rosbag_files import HEAD_BYTES, ZSTD_MAGIC, Topic, decompressed
+from bask_data.formats.files import MAX_IMAGE_BYTES, read_head
+from bask_data.formats.rosbag_files import MESSAGE_HEAD_BYTES, ZSTD_MAGIC, Topic, decompressed
 
 
 class SqlitePart:
@@ -22,6 +22,7 @@ class SqlitePart:
         self._topic = {connection.id: connection.topic for connection in reader.connections}
         self.topics = tuple(Topic(c.topic, c.msgtype, c.msgcount) for c in reader.connections)
         reader.close()
+        _refuse_cut_off(path)
         self._database = sqlite3.connect(
             f"file:{quote(str(path.resolve()))}?mode=ro&immutable=1", uri=True, check_same_thread=False
         )
@@ -34,7 +35,7 @@ class SqlitePart:
         heads = [key for key in wanted if not whole[self._topic[key]]]
         rows = self._database.execute(
             "SELECT id, topic_id, timestamp, "
-            f"CASE WHEN topic_id IN ({_marks(heads)}) THEN substr(data, 1, {HEAD_BYTES}) ELSE data END "
+            f"CASE WHEN topic_id IN ({_marks(heads)}) THEN substr(data, 1, {MESSAGE_HEAD_BYTES}) ELSE data END "
             f"FROM messages WHERE topic_id IN ({_marks(wanted)}) ORDER BY id",
             [*heads, *wanted],
         )
@@ -51,3 +52,11 @@ class SqlitePart:
 
 def _marks(values: list[int]) -> str:
     return ",".join("?" * len(values))
+
+
+def _refuse_cut_off(path: Path) -> None:
+    """SQLite reads pages that are missing at the end as zeros; the header says how many there should be."""
+    head = read_head(path, 32)
+    page, n_pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+    if path.stat().st_size < n_pages * (65536 if page == 1 else page):
+        raise ValueError("a database that is cut off")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from bask_data.errors import imported
-from bask_data.formats.rosbag_files import HEAD_BYTES, Chunks, Topic, counted
+from bask_data.formats.rosbag_files import MESSAGE_HEAD_BYTES, Chunks, Topic, counted
 
 
 class BagPart:
@@ -32,7 +32,11 @@ class BagPart:
             for entry in self._index[connection]
         ]
         for chunk, offset, arrival, topic in sorted(entries):
-            yield topic, (arrival, chunk, offset), self._read(chunk, offset, None if whole[topic] else HEAD_BYTES)
+            yield (
+                topic,
+                (arrival, chunk, offset),
+                self._read(chunk, offset, None if whole[topic] else MESSAGE_HEAD_BYTES),
+            )
 
     def message(self, chunk: int, offset: int) -> bytes:
         """See `Part`."""
