@@ -18,6 +18,9 @@ MAX_IMAGE_BYTES = 512 * 2**20
 """Largest image file that is read, bytes: more than an image of `MAX_PIXELS` takes. Keeps wrong files from filling
 memory."""
 
+MAX_SHOWN = 300
+"""Characters of a path that are shown of one that leads nowhere: it may come from a stranger's file."""
+
 
 @dataclass(frozen=True)
 class Folder:
@@ -36,10 +39,10 @@ class Folder:
         if pure.is_absolute() or ".." in pure.parts:
             raise BadData(self.path, field, expected="a path inside the source folder", got=repr(relative))
         path = self.path / pure
-        if not path.exists():
-            broken = path.is_symlink()
+        if not self.has(relative) or not path.exists():
+            broken = self.has(relative)
             raise BadData(
-                path,
+                f"{path}"[:MAX_SHOWN],
                 field,
                 expected="a file",
                 got="a link to nothing" if broken else "no such path",
@@ -61,7 +64,11 @@ class Folder:
 
     def has(self, relative: str) -> bool:
         """Whether there is something at `relative`; `member` says whether it may be read."""
-        return (self.path / relative).exists() or (self.path / relative).is_symlink()
+        path = self.path / relative
+        try:
+            return path.exists() or path.is_symlink()
+        except OSError:  # A name that no file can have: too long.
+            return False
 
     def matching(self, pattern: str, option: str) -> dict[str, Path]:
         """Files that match `pattern`, by the text that its one `*` matches, in natural order. Hidden files are ignored.

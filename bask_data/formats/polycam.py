@@ -88,8 +88,14 @@ class _KeyframeFiles:
 
 
 def _members(source: Path, follow_links: bool) -> Members:
+    """The files from the folder on that holds `keyframes`, which may be the only one of its kind in `source`."""
     members = members_of(source, (".zip",), follow_links)
-    return members.at("keyframes/") if isinstance(members, ZipMembers) else members
+    if isinstance(members, ZipMembers):
+        return members.at("keyframes/")
+    inside = [path.parent for path in source.glob("*/keyframes")]
+    if len(inside) == 1 and not members.has("keyframes"):
+        return members_of(inside[0], (), follow_links)
+    return members
 
 
 def _keyframe_files(members: Members) -> _KeyframeFiles:

@@ -25,6 +25,14 @@ def test_a_path_out_of_the_source_folder_is_refused(tmp_path: Path, relative: st
         files.Folder(tmp_path).member(relative, "rgb.txt")
 
 
+@pytest.mark.parametrize("relative", ["a" * 5000, "a/" * 3000, "\0"])
+def test_a_name_that_no_file_can_have_is_that_of_a_missing_file(tmp_path: Path, relative: str) -> None:
+    assert not files.Folder(tmp_path).has(relative)
+    with pytest.raises(BadData, match="expected a file, got no such path") as raised:
+        files.Folder(tmp_path).member(relative, "rgb.txt")
+    assert len(str(raised.value)) < 500
+
+
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(BadData, match="gone.txt: rgb.txt: expected a file, got no such path"):
         files.Folder(tmp_path).member("gone.txt", "rgb.txt")

@@ -146,6 +146,10 @@ def test_the_zip_file_of_an_export_reads_as_the_export(export: Path) -> None:
     assert archive.files == (export.with_suffix(".zip"),)
 
 
+def test_the_export_may_lie_in_a_folder_of_its_own(export: Path) -> None:
+    assert np.allclose(camera_of(export.parent).world_from_cameras, POSES)
+
+
 @pytest.mark.parametrize(
     ("part", "fix"),
     [("depth", "capture with LiDAR"), ("cameras", "it holds the folder keyframes"), ("images", "SOURCE")],
