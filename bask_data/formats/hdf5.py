@@ -51,12 +51,17 @@ class StoredFrames:
     some frames of a short recording does not decode it twice.
     """
 
-    def __init__(self, file: Hdf5File, place: str, dataset: Any) -> None:
+    def __init__(self, file: Hdf5File, place: str, dataset: Any, large: set[tuple[int, ...]]) -> None:
+        """See `Hdf5File.frames`, which makes them.
+
+        Args:
+            large: where chunks begin that are to be checked before they are read.
+        """
         self.place = place
         self.shape: tuple[int, ...] = dataset.shape
         self.dtype: np.dtype = dataset.dtype
         self._file, self._dataset = file, dataset
-        self._large = large_chunks(dataset)
+        self._large = large
         chunks = dataset.chunks or (1,)
         frame = math.prod(self.shape[1:]) * self.dtype.itemsize
         self._n_block = chunks[0] if chunks[0] * frame <= MAX_BLOCK_BYTES else 1
@@ -143,7 +148,7 @@ class Hdf5File:
             n_bytes = dataset.size * dataset.dtype.itemsize
         if n_bytes > MAX_BLOCK_BYTES:
             raise self._too_large(place, n_bytes)
-        return self.read(place, dataset, large_chunks(dataset))
+        return self.read(place, dataset, self._large(place, dataset))
 
     def frames(self, place: str, shape: tuple[int | None, ...], kinds: str = "f") -> StoredFrames:
         """A data set over frames.
@@ -157,7 +162,8 @@ class Hdf5File:
             BadData: there is no data set, or one of another shape or type, too large, stored elsewhere, or with filters
                 that are not installed.
         """
-        return StoredFrames(self, place, self._dataset(place, shape, kinds))
+        dataset = self._dataset(place, shape, kinds)
+        return StoredFrames(self, place, dataset, self._large(place, dataset))
 
     def shape(self, place: str) -> tuple[int, ...]:
         """Shape of a data set; `BadData` if there is none."""
@@ -170,6 +176,10 @@ class Hdf5File:
                 check_chunks(self.path, place, dataset, large, rows or range(dataset.shape[0]))
             values: ndarray = np.asarray(dataset[rows.start : rows.stop] if rows else dataset[()])
         return values
+
+    def _large(self, place: str, dataset: Any) -> set[tuple[int, ...]]:
+        with self._readable(place):
+            return large_chunks(dataset)
 
     def _found(self, place: str) -> Any:
         found = self._find(place)
