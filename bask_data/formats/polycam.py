@@ -92,7 +92,8 @@ def _members(source: Path, follow_links: bool) -> Members:
     members = members_of(source, (".zip",), follow_links)
     if isinstance(members, ZipMembers):
         return members.at("keyframes/")
-    inside = [path.parent for path in source.glob("*/keyframes")]
+    # A link to a folder elsewhere would become the folder that all files must lie in.
+    inside = [path.parent for path in source.glob("*/keyframes") if not path.parent.is_symlink()]
     if len(inside) == 1 and not members.has("keyframes"):
         return members_of(inside[0], (), follow_links)
     return members

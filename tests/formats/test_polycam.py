@@ -148,6 +148,11 @@ def test_the_zip_file_of_an_export_reads_as_the_export(export: Path) -> None:
 
 def test_the_export_may_lie_in_a_folder_of_its_own(export: Path) -> None:
     assert np.allclose(camera_of(export.parent).world_from_cameras, POSES)
+    elsewhere = export.parent / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "link").symlink_to(export)
+    with pytest.raises(BadData, match="cameras: expected its files, got none"):
+        read(elsewhere)
 
 
 @pytest.mark.parametrize(
