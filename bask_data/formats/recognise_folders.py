@@ -152,7 +152,16 @@ def _rosbag(listing: Listing) -> Guess | None:
     is_bag = b"rosbag2_bagfile_information" in listing.head("metadata.yaml")
     if is_bag:
         return Guess("rosbag", listing.root, ("metadata.yaml of a ROS 2 bag",))
+    bags = [name for name in listing.files() if name.lower().endswith((".bag", ".mcap", ".db3"))]
+    bags += [name for name in listing.folders() if listing.has(f"{name}/metadata.yaml")]
+    if len(bags) > 1 and _is_bag(listing, bags[0]):
+        return Guess("rosbag", listing.root, (f"bags {_listed(bags)}",))
     return _only_file(listing, "rosbag")
+
+
+def _is_bag(listing: Listing, name: str) -> bool:
+    guess = guess_of_file(listing.root / name)
+    return guess is not None or b"rosbag2_bagfile_information" in listing.head(f"{name}/metadata.yaml")
 
 
 def _maniskill(listing: Listing) -> Guess | None:

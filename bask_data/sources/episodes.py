@@ -107,7 +107,7 @@ def ingest_episodes(
             one = options.model_copy(update={"episode": episode})
             try:
                 outcomes, assumptions = ingest(
-                    root, name, format=format, source=source, options=one, kind=kind, force=force, dataset=dataset
+                    dataset or root, name, format=format, source=source, options=one, kind=kind, force=force
                 )
             except BadData as error:
                 if not options.skip_bad:

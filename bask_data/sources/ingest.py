@@ -30,7 +30,7 @@ INGEST_VERSION = 1
 
 
 def ingest(
-    root: Path,
+    into: Path | Dataset,
     item: str,
     *,
     format: Format,
@@ -38,15 +38,14 @@ def ingest(
     options: SourceOptions,
     kind: Literal["scan", "demonstration"] = "scan",
     force: bool = False,
-    dataset: Dataset | None = None,
     picture: Path | None = None,
 ) -> tuple[list[Outcome], dict[str, str]]:
-    """Read a recording into the dataset at `root`, which is created if it does not exist.
+    """Read a recording into a dataset, which is created if it does not exist.
 
     Everything is checked and written to scratch first: an error leaves the dataset unchanged.
 
     Args:
-        dataset: the one at `root`, if it is open already.
+        into: the dataset's directory, or the dataset if it is open already.
         picture: file for a picture of depth's edges over colour, which shows whether depth lies on colour.
 
     Returns:
@@ -59,7 +58,7 @@ def ingest(
     """
     makes = Scan if kind == "scan" else Demonstration
     check_name(item, f"ingest {format.name}", "--scene")
-    dataset = dataset or Dataset.open_if_any(root)
+    dataset, root = (into, into.root) if isinstance(into, Dataset) else (Dataset.open_if_any(into), into)
     refuse_other_scope(dataset, makes, item, "choose another --scene.")
     opened = format.opened(source, options)
     key = _key(makes, format, options, source, opened)

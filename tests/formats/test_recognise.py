@@ -44,7 +44,7 @@ def write_dump(folder: Path, color: str = "rgb/{}.png", depth: str = "depth/{}.p
 
 
 def test_every_format_can_be_recognised() -> None:
-    assert {format.name for format in FORMATS} <= {"frames", *RECOGNISERS}
+    assert {format.name for format in FORMATS} == {"frames", *RECOGNISERS}
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from bask_data.core.geometry import invert_rigid
+from tests.formats.bags import COLOR_TOPIC, DEPTH_TOPIC, INFO_TOPIC, OPTICAL, BagWriter
 from tests.formats.folders import write_image
 from tests.formats.videos import write_video
 from tests.formats.views import OPENGL, Views
@@ -313,6 +314,59 @@ def robomimic(folder: Path, views: Views) -> Written:
     return Written(path, depth_tolerance=5e-4)
 
 
+def rosbag(folder: Path, views: Views) -> Written:
+    """A ROS 2 bag: header stamps, depth 2 ms later than colour, and the camera in tf below a robot's tool."""
+    bag = BagWriter(folder / "scan", "mcap")
+    tool_from_camera = np.eye(4)
+    tool_from_camera[:3, 3] = [0.05, 0.0, -0.1]
+    bag.write("/tf_static", 0, bag.transforms((0, "tool0", OPTICAL, tool_from_camera)))
+    K = views.K
+    for time, pose, rgb, z in zip(views.time, views.poses, views.color, views.depth_mm, strict=True):
+        stamp = round(time * 10) * 100_000_000
+        bag.write("/tf", stamp, bag.transforms((stamp, "base", "tool0", pose @ invert_rigid(tool_from_camera))))
+        height, width = views.size
+        bag.write(INFO_TOPIC, stamp, bag.info(stamp, matrix=K, height=height, width=width))
+        bag.write(COLOR_TOPIC, stamp + 3_000_000, bag.image(stamp, OPTICAL, "rgb8", rgb))
+        bag.write(DEPTH_TOPIC, stamp + 4_000_000, bag.image(stamp + 2_000_000, OPTICAL, "16UC1", z))
+    return Written(bag.close())
+
+
+def colmap(folder: Path, views: Views) -> Written:
+    """A model of COLMAP in its own unit: camera from world, K from the image's corner, points that images saw."""
+    write_images(folder, views, "images/{}.png", "depth/{}.png")
+    unit, (height, width), K = 0.4, views.size, views.K
+    model = folder / "sparse/0"
+    model.mkdir(parents=True)
+    lens = f"{K[0, 0]} {K[1, 1]} {K[0, 2] + 0.5} {K[1, 2] + 0.5}"
+    (model / "cameras.txt").write_text(f"1 PINHOLE {width} {height} {lens}\n")
+    points, seen = [], [[] for _ in range(views.n)]
+    rng = np.random.default_rng(0)
+    for i in range(views.n):
+        v, u = np.nonzero(views.depth_mm[i])
+        for k in rng.choice(len(v), 40, replace=False):
+            z = views.depth_mm[i, v[k], u[k]] / 1000
+            point = views.poses[i] @ [*(z * np.linalg.solve(K, [u[k], v[k], 1.0])), 1.0]
+            track = []
+            for j, camera_from_world in enumerate(views.camera_from_world):
+                x, y, depth = K @ (camera_from_world @ point)[:3]
+                uv = np.array([x, y]) / depth
+                column, row = np.rint(uv).astype(int)
+                inside = 0 <= row < height and 0 <= column < width and depth > 0
+                if inside and abs(views.depth_mm[j, row, column] / 1000 - depth) < 0.003:
+                    track += [j + 1, len(seen[j])]
+                    seen[j].append((*(uv + 0.5), len(points) + 1))
+            place = " ".join(map(str, point[:3] / unit))
+            points.append(f"{len(points) + 1} {place} 9 9 9 0.1 {' '.join(map(str, track))}")
+    lines = []
+    for i, (name, pose) in enumerate(zip(names(views), views.camera_from_world, strict=True)):
+        numbers = [*np.roll(quat_xyzw(pose), 1), *(pose[:3, 3] / unit)]
+        lines.append(f"{i + 1} {' '.join(map(str, numbers))} 1 {name}.png")
+        lines.append(" ".join(f"{x} {y} {k}" for x, y, k in seen[i]))
+    (model / "images.txt").write_text("\n".join(lines) + "\n")
+    (model / "points3D.txt").write_text("\n".join(points) + "\n")
+    return Written(folder, tolerance=2e-3)
+
+
 SOURCES: dict[str, Callable[[Path, Views], Written]] = {
     "matrices": matrices,
     "opengl_millimetres": opengl_millimetres,
@@ -326,6 +380,8 @@ SOURCES: dict[str, Callable[[Path, Views], Written]] = {
     "polycam": polycam,
     "record3d": record3d,
     "stray": stray,
+    "colmap": colmap,
+    "rosbag": rosbag,
     "rlbench": rlbench,
     "maniskill": maniskill,
     "robomimic": robomimic,
