@@ -152,7 +152,7 @@ FORMATS = (
         "maniskill",
         "Trajectories of ManiSkill 3 and 2 with images: an HDF5 file, and its JSON file if there is one.",
         ManiskillOptions,
-        "The .h5 file, replayed with observations: trajectory.rgbd.*.h5.",
+        "The .h5 file, replayed with observations (trajectory.rgbd.*.h5), or its folder.",
     ),
     Format(
         "lerobot",
@@ -164,6 +164,6 @@ FORMATS = (
         "robomimic",
         "Demonstrations in robomimic's HDF5 files with images and depth, or exported with --cameras.",
         RobomimicOptions,
-        "The .hdf5 file.",
+        "The .hdf5 file, or its folder.",
     ),
 )

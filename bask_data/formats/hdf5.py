@@ -18,9 +18,11 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from bask_data.errors import BadData, imported
-from bask_data.formats.files import listed, natural
+from bask_data.errors import BadData, UsageError, imported
+from bask_data.formats.files import Folder, listed, natural, source_file
 from bask_data.formats.hdf5_storage import check_chunks, check_storage, large_chunks
+
+SUFFIXES = (".hdf5", ".h5")
 
 MAX_BLOCK_BYTES = 256 * 2**20
 """Largest frame, chunk or whole array that is decoded, bytes, by its declared size: an image of 80 megapixels, or poses
@@ -42,6 +44,21 @@ MAX_ATTRIBUTE_CHARACTERS = 64 * 2**20
 """Longest text attribute that is parsed, characters."""
 
 KINDS = {"b": "booleans", "i": "integers", "u": "unsigned integers", "f": "floating-point numbers"}
+
+
+def hdf5_source(source: Path, follow_links: bool) -> Path:
+    """SOURCE as an HDF5 file: itself, or the only one in the folder.
+
+    Raises:
+        UsageError: it is something else, or a folder with none or several.
+    """
+    if not source.is_dir():
+        return source_file(source, SUFFIXES, follow_links)
+    files = sorted(path.name for path in source.iterdir() if path.suffix.lower() in SUFFIXES and path.name[0] != ".")
+    if len(files) != 1:
+        expected, got = f"a file {' or '.join(SUFFIXES)}, or a folder with one", listed(files) or "a folder without any"
+        raise UsageError(source, "SOURCE", expected=expected, got=got, fix="pass the file." if files else "")
+    return Folder(source, follow_links).member(files[0], "SOURCE")
 
 
 class StoredFrames:

@@ -6,7 +6,6 @@ actions, quaternions w x y z, depth in millimetres (version 2: 1/1024 m), 0 = be
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,9 @@ import numpy as np
 
 from bask_data.errors import BadData
 from bask_data.formats.choices import chosen_episode
-from bask_data.formats.files import MAX_TEXT_BYTES, Folder, read_bytes, source_file
-from bask_data.formats.hdf5 import Hdf5File
+from bask_data.formats.files import Folder
+from bask_data.formats.hdf5 import Hdf5File, hdf5_source
+from bask_data.formats.json_values import read_json
 from bask_data.formats.maniskill_cameras import LAYOUTS, ManiskillCamera, unusable
 from bask_data.formats.options.maniskill import ManiskillOptions
 from bask_data.formats.poses import parse_transform
@@ -83,7 +83,7 @@ def episodes(source: Path, options: ManiskillOptions) -> tuple[str, ...]:
 
 
 def _opened(source: Path, options: ManiskillOptions) -> tuple[Path, Hdf5File]:
-    path = source_file(source, (".h5", ".hdf5"), options.follow_links)
+    path = hdf5_source(source, options.follow_links)
     return path, Hdf5File(path)
 
 
@@ -102,11 +102,7 @@ def _document(path: Path, follow_links: bool) -> tuple[dict[str, Any], tuple[Pat
     if not folder.has(name):
         return {}, ()
     beside = folder.member(name, "JSON file")
-    try:
-        document = json.loads(read_bytes(beside, MAX_TEXT_BYTES))
-    except (ValueError, RecursionError) as error:
-        raise BadData(beside, "", expected="JSON", got=repr(error)[:200], fix="copy it again, or remove it.") from error
-    return (document if isinstance(document, dict) else {}), (beside,)
+    return read_json(beside), (beside,)
 
 
 def _inside(document: Any, *keys: str) -> Any:

@@ -16,8 +16,8 @@ from numpy import ndarray
 
 from bask_data.errors import BadData
 from bask_data.formats.choices import chosen_episode
-from bask_data.formats.files import source_file
-from bask_data.formats.hdf5 import Hdf5File
+from bask_data.formats.hdf5 import Hdf5File, hdf5_source
+from bask_data.formats.json_values import parse_json
 from bask_data.formats.options.robomimic import RobomimicOptions
 from bask_data.formats.recording import RobotRecording, SourceRecording
 from bask_data.formats.robomimic_cameras import RobomimicCamera, hand_poses, unusable
@@ -65,7 +65,7 @@ def episodes(source: Path, options: RobomimicOptions) -> tuple[str, ...]:
 
 
 def _opened(source: Path, options: RobomimicOptions) -> tuple[Path, Hdf5File]:
-    path = source_file(source, (".hdf5", ".h5"), options.follow_links)
+    path = hdf5_source(source, options.follow_links)
     return path, Hdf5File(path)
 
 
@@ -81,11 +81,7 @@ def _document(file: Hdf5File, place: str, name: str) -> dict[str, Any]:
     text = file.attribute(place, name)
     if not isinstance(text, str):
         return {}
-    try:
-        document = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise BadData(file.path, f"{place} attribute {name}", expected="JSON", got=repr(error)[:200]) from error
-    return document if isinstance(document, dict) else {}
+    return parse_json(f"{file.path}: {place} attribute {name}", text.encode("utf-8", "replace"))
 
 
 def _camera_info(file: Hdf5File, demo: str) -> dict[str, Any]:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from bask_data.errors import BadData
+from bask_data.errors import BadData, UsageError
 from bask_data.formats import hdf5, hdf5_storage
-from bask_data.formats.hdf5 import Hdf5File
+from bask_data.formats.hdf5 import Hdf5File, hdf5_source
 
 VALUES = np.arange(5 * 6 * 4, dtype=np.float32).reshape(5, 6, 4)
 SHAPE = (None, None, None)
@@ -188,6 +188,19 @@ def test_a_filter_that_is_not_installed_is_named(tmp_path: Path) -> None:
         h5py.h5d.create(file.id, b"values", h5py.h5t.NATIVE_FLOAT, space, made)
     with pytest.raises(BadData, match="values: expected an HDF5 filter that is installed, got filter 32100"):
         Hdf5File(tmp_path / "a.h5").array("values", (None, None))
+
+
+def test_a_folder_stands_for_its_only_hdf5_file(tmp_path: Path) -> None:
+    with pytest.raises(
+        UsageError, match="SOURCE: expected a file .hdf5 or .h5, or a folder with one, got a folder with"
+    ):
+        hdf5_source(tmp_path, False)
+    file = written(tmp_path / "a.h5")
+    (tmp_path / "._a.h5").write_bytes(b"x")
+    assert hdf5_source(tmp_path, False) == hdf5_source(file, False) == file
+    written(tmp_path / "b.hdf5")
+    with pytest.raises(UsageError, match=r"got a\.h5, b\.hdf5\.  fix: pass the file"):
+        hdf5_source(tmp_path, False)
 
 
 def test_damaged_files_are_refused_with_their_name(tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ def test_the_json_file_beside_states_rate_and_control_mode(tmp_path: Path) -> No
     assert recording.robot is not None and recording.robot.action_names is not None
     assert recording.robot.action_names[0] == "dx" and len(recording.files) == 2
     (tmp_path / "a.json").write_text("{")
-    with pytest.raises(BadData, match=r"a\.json: expected JSON"):
+    with pytest.raises(BadData, match=r"a\.json: content: expected JSON"):
         read(source)
 
 

@@ -170,7 +170,7 @@ def test_damaged_camera_info_is_refused(tmp_path: Path) -> None:
         read(tmp_path / "a.hdf5")
     with h5py.File(tmp_path / "a.hdf5", "a") as file:
         file["data/demo_0"].attrs["camera_info"] = "{"
-    with pytest.raises(BadData, match="data/demo_0 attribute camera_info: expected JSON"):
+    with pytest.raises(BadData, match="data/demo_0 attribute camera_info: content: expected JSON"):
         read(tmp_path / "a.hdf5")
 
 
