@@ -71,7 +71,8 @@ class AlignedFrames:
     @property
     def distortion(self) -> Distortion | None:
         """The lens distortion that is taken out."""
-        return self._lens.distortion
+        distortion = self._lens.distortion
+        return None if distortion is None or distortion.is_none else distortion
 
     def read(self, k: int) -> tuple[UInt8[ndarray, "h w 3"], UInt16[ndarray, "h w"]]:
         """RGB and raw depth of the k-th kept frame."""
@@ -177,20 +178,23 @@ def _with_options(
 ) -> tuple[SourceCamera, dict[str, str]]:
     """The camera with what options state instead of its files."""
     assumptions = {}
+    depth_intrinsics, color_from_depth = (
+        text.replace("{camera}", camera.name) for text in (options.depth_intrinsics, options.color_from_depth)
+    )
     if options.distortion:
         lens = replace(camera.lens, distortion=parse_distortion(options.distortion))
         camera = replace(camera, lens=lens)
-    if options.depth_intrinsics:
+    if depth_intrinsics:
         size = camera.depth(first).shape[:2]
-        if options.depth_intrinsics == "scaled":
+        if depth_intrinsics == "scaled":
             camera = replace(camera, depth_lens=scaled_lens(camera.lens, (size[0], size[1])))
         else:
-            K, _ = parse_intrinsics(folder, options.depth_intrinsics)
+            K, _ = parse_intrinsics(folder, depth_intrinsics)
             camera = replace(camera, depth_lens=Lens(K, (size[0], size[1])))
-        assumptions["depth intrinsics"] = options.depth_intrinsics
-    if options.color_from_depth:
-        path = Path(options.color_from_depth)
-        path = path if path.is_file() else folder.member(options.color_from_depth, "--color-from-depth")
+        assumptions["depth intrinsics"] = depth_intrinsics
+    if color_from_depth:
+        path = Path(color_from_depth)
+        path = path if path.is_file() else folder.member(color_from_depth, "--color-from-depth")
         camera = replace(camera, color_from_depth=read_pose(path))
     return camera, assumptions
 

@@ -17,7 +17,7 @@ from bask_data.formats.files import Folder, paired
 from bask_data.formats.frames_poses import FramePoses, poses_of_files, poses_of_trajectory
 from bask_data.formats.frames_times import BY_NAME, frame_times, in_order_of_time
 from bask_data.formats.image_files import ImageFiles
-from bask_data.formats.intrinsics import CameraIntrinsics, read_calibration
+from bask_data.formats.intrinsics import CameraIntrinsics, read_calibration, refuse_unnamed_lens
 from bask_data.formats.options.frames import FramesOptions
 from bask_data.formats.poses import UNIT_NAMES, other_readings, to_world_from_camera
 from bask_data.formats.recording import Depth, SourceCamera
@@ -121,6 +121,7 @@ def _images(folder: Folder, groups: dict[str, dict[str, Path]], names: list[str]
     files = ImageFiles(color, depth, invalid_depth=invalid)
     if "cloud" not in groups:
         calibration = read_calibration(folder, options.intrinsics)
+        refuse_unnamed_lens(calibration, options.distortion)
         lens = Lens(calibration.K, files.size, calibration.distortion)
         return _Images(
             files.read_color,
@@ -167,6 +168,7 @@ def _calibration_of_clouds(
     if not options.intrinsics and size == clouds.size:
         return CameraIntrinsics(K), None, statement
     calibration = read_calibration(folder, options.intrinsics)
+    refuse_unnamed_lens(calibration, options.distortion)
     if size != clouds.size:
         return calibration, Lens(K, clouds.size), f"{calibration.statement}; of depth {statement}"
     if calibration.distortion is None and (missed := clouds.residual(calibration.K)) > LARGEST_RESIDUAL:

@@ -79,12 +79,14 @@ class CameraIntrinsics:
         distortion: None where none is stated.
         size: WIDTHxHEIGHT of the images that it is for, or empty.
         files: the file it came from, if any.
+        is_lens_named: whether the distortion stood under a name, and not only after other numbers.
     """
 
     K: Float[ndarray, "3 3"]
     distortion: Distortion | None = None
     size: str = ""
     files: tuple[Path, ...] = ()
+    is_lens_named: bool = True
 
     @property
     def statement(self) -> str:
@@ -168,7 +170,27 @@ def calibration_of_numbers(where: Path | str, values: list[float]) -> CameraIntr
             got=distortion,
             fix="pass --intrinsics fx,fy,cx,cy and, if there is distortion, --distortion opencv:k1,k2,p1,p2.",
         )
-    return CameraIntrinsics(K, Distortion("OPENCV", tuple(distortion)))
+    return CameraIntrinsics(K, Distortion("OPENCV", tuple(distortion)), is_lens_named=False)
+
+
+def refuse_unnamed_lens(calibration: CameraIntrinsics, option: str) -> None:
+    """Refuse distortion that is only said by the number of numbers, unless `--distortion` decides: calibrations often
+    stay beside images that were undistorted with them.
+
+    Raises:
+        BadData: naming both choices.
+    """
+    lens = calibration.distortion
+    if calibration.is_lens_named or lens is None or lens.is_none or option:
+        return
+    numbers = ",".join(f"{value:g}" for value in lens.parameters)
+    raise BadData(
+        calibration.files[0] if calibration.files else "--intrinsics",
+        "intrinsics",
+        expected="4 numbers fx fy cx cy, or a matrix",
+        got=f"{len(lens.parameters)} more, which look like OpenCV's distortion: {numbers}",
+        fix=f"pass --distortion opencv:{numbers} to take it out, or --distortion pinhole if the images are without it.",
+    )
 
 
 def intrinsics_matrix(

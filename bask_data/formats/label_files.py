@@ -11,7 +11,7 @@ from bask_data.errors import BadData, UsageError
 from bask_data.formats.files import Folder, frame_number, listed
 from bask_data.formats.images import read_labels
 from bask_data.formats.options.common import SourceOptions
-from bask_data.formats.recording import SourceRecording
+from bask_data.formats.recording import SourceCamera, SourceRecording
 
 
 def with_labels(source: Path, recording: SourceRecording, options: SourceOptions) -> SourceRecording:
@@ -20,18 +20,38 @@ def with_labels(source: Path, recording: SourceRecording, options: SourceOptions
     The text matched by `*` is a frame's name, or has its number. The pattern is looked for in SOURCE, or beside it if
     SOURCE is a file.
 
+    `{camera}` in it stands for the camera's name.
+
     Raises:
-        UsageError: there are several cameras: which one is labelled is open.
+        UsageError: there are several cameras, and the pattern does not say which one is labelled.
         BadData: a frame has no label image.
     """
     if not options.labels:
         return recording
-    if len(recording.cameras) > 1:
+    if len(recording.cameras) > 1 and "{camera}" not in options.labels:
         names = ", ".join(camera.name for camera in recording.cameras)
-        raise UsageError("--labels", expected="a source of one camera", got=names, fix="ingest one camera at a time.")
-    [camera] = recording.cameras
+        fix = "put {camera} into the pattern, for instance '{camera}/labels_*.png', or ingest one camera at a time."
+        raise UsageError("--labels", expected="a pattern with {camera}, of several cameras", got=names, fix=fix)
     folder = Folder(source if source.is_dir() else source.parent, options.follow_links)
-    found = folder.matching(options.labels, "labels")
+    files = {camera.name: _files_of(folder, camera, options.labels) for camera in recording.cameras}
+    paths = [path for found in files.values() for path in found]
+    present = sorted({int(value) for path in paths for value in np.unique(read_labels(path))} - {0})
+    return replace(
+        recording,
+        cameras=tuple(_labelled(camera, files[camera.name]) for camera in recording.cameras),
+        label_names={label: recording.label_names.get(label, f"label {label}") for label in present},
+        assumptions={**recording.assumptions, "labels": f"{options.labels}, taken as truth for reports only"},
+        files=(*recording.files, *paths),
+    )
+
+
+def _labelled(camera: SourceCamera, paths: list[Path]) -> SourceCamera:
+    return replace(camera, labels=lambda i: read_labels(paths[i]))
+
+
+def _files_of(folder: Folder, camera: SourceCamera, pattern: str) -> list[Path]:
+    """The label image of each frame of a camera."""
+    found = folder.matching(pattern.replace("{camera}", camera.name), "labels")
     by_number = {frame_number(name): path for name, path in found.items()}
     files = [found.get(frame) or by_number.get(frame_number(frame)) for frame in camera.frames]
     missing = [frame for frame, file in zip(camera.frames, files, strict=True) if file is None]
@@ -43,13 +63,4 @@ def with_labels(source: Path, recording: SourceRecording, options: SourceOptions
             got=f"none for {listed(missing)}",
             fix="choose a pattern whose * matches the frames' names or numbers.",
         )
-    paths = [file for file in files if file is not None]
-    present = sorted({int(value) for path in paths for value in np.unique(read_labels(path))} - {0})
-    labelled = replace(camera, labels=lambda i: read_labels(paths[i]))
-    return replace(
-        recording,
-        cameras=(labelled,),
-        label_names={label: recording.label_names.get(label, f"label {label}") for label in present},
-        assumptions={**recording.assumptions, "labels": f"{options.labels}, taken as truth for reports only"},
-        files=(*recording.files, *paths),
-    )
+    return [file for file in files if file is not None]

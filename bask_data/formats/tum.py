@@ -16,7 +16,7 @@ from bask_data.formats.files import Folder, listed, numbered_lines, source_folde
 from bask_data.formats.frames_poses import poses_at_times
 from bask_data.formats.image_files import ImageFiles
 from bask_data.formats.images import image_header
-from bask_data.formats.intrinsics import read_calibration
+from bask_data.formats.intrinsics import read_calibration, refuse_unnamed_lens
 from bask_data.formats.options.tum import TumOptions
 from bask_data.formats.poses import other_readings, to_world_from_camera
 from bask_data.formats.recording import RobotRecording, SourceCamera, SourceRecording
@@ -51,6 +51,7 @@ def read(source: Path, options: TumOptions) -> SourceRecording:
             fix="check that the clocks agree, or pass a larger --max-time-difference or --max-pose-gap.",
         )
     calibration = read_calibration(folder, INTRINSICS.get(options.intrinsics, options.intrinsics))
+    refuse_unnamed_lens(calibration, options.distortion)
     world_from_cameras, world_from_gripper, hand_eye = to_world_from_camera(
         poses.at(poses.written, options), options, folder=folder
     )

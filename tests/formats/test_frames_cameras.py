@@ -6,7 +6,7 @@ import numpy as np
 import pydantic
 import pytest
 
-from bask_data.errors import BadData
+from bask_data.errors import BadData, UsageError
 from bask_data.formats.options.frames import FramesOptions
 from tests.formats.folders import images, rigid, write_image
 from tests.formats.test_frames import read
@@ -44,6 +44,36 @@ def test_each_camera_has_its_own_files_poses_and_intrinsics(tmp_path: Path) -> N
     assert "the camera rests" in recording.assumptions["overhead: pose"]
     assert recording.assumptions["time"] == "frame number / 30 per second"
     assert len(recording.files) == len(set(recording.files)) == 16
+
+
+def test_labels_and_the_lens_of_depth_are_each_cameras_own(tmp_path: Path) -> None:
+    write_cameras(tmp_path)
+    for label, name in enumerate(("wrist", "overhead"), 5):
+        for i in range(3):
+            write_image(tmp_path / name / f"labels_{i}.png", np.full((12, 16), label, np.uint8))
+        (tmp_path / name / "K_depth.txt").write_text(f"{20 + label} {20 + label} 7.5 5.5")
+    with pytest.raises(UsageError, match="--labels: expected a pattern with {camera}"):
+        read(tmp_path, **PATTERNS, labels="wrist/labels_*.png")
+    recording = read(
+        tmp_path, **PATTERNS, labels="{camera}/labels_*.png", depth_intrinsics="{camera}/K_depth.txt", align="depth"
+    )
+    wrist, overhead = recording.cameras
+    assert (wrist.K[0, 0], overhead.K[0, 0]) == (25, 26)
+    for label, camera in ((5, wrist), (6, overhead)):
+        assert camera.labels is not None and np.unique(camera.labels(1)).max() == label
+    assert recording.label_names == {5: "label 5", 6: "label 6"}
+
+
+def test_distortion_after_bare_numbers_must_be_decided(tmp_path: Path) -> None:
+    write_cameras(tmp_path)
+    (tmp_path / "wrist/K.txt").write_text("20 20 7.5 5.5 -0.28 0.09 0 0 0")
+    with pytest.raises(
+        BadData, match=r"K.txt: intrinsics: .* look like OpenCV's distortion: -0.28,0.09,0,0,0.*pinhole if"
+    ):
+        read(tmp_path, **PATTERNS)
+    assert read(tmp_path, **PATTERNS, distortion="pinhole").cameras[0].distortion is None
+    taken_out = read(tmp_path, **PATTERNS, distortion="opencv:-0.28,0.09,0,0,0").cameras[0].distortion
+    assert taken_out is not None and taken_out.parameters == (-0.28, 0.09, 0, 0, 0)
 
 
 def test_hand_eye_poses_and_a_table_give_the_robots_states_and_actions(tmp_path: Path) -> None:
