@@ -77,7 +77,21 @@ def _ingested(request: IngestRequest) -> Iterator[EpisodeIngested]:
             raise UsageError("--picture", expected="one episode", got="several", fix="pass --episode NAME.")
         yield from ingest_episodes(request.root, request.scene, **arguments)
     else:
-        yield EpisodeIngested(request.scene, *ingest(request.root, request.scene, picture=request.picture, **arguments))
+        yield EpisodeIngested(request.scene, *ingest(request.root, request.scene, **arguments))
+        if request.picture:
+            _draw(request.root / request.kind / request.scene, request.picture)
+
+
+def _draw(recording: Path, file: Path) -> None:
+    """Draw the edges of depth over colour of a recording that was read."""
+    from bask_data.formats.registration import save_picture
+    from bask_data.kinds import Recording
+
+    cameras = Recording(recording).cameras
+    save_picture(
+        file,
+        [(camera.n_frames, lambda i, c=camera: (c.rgb(i), c.depth(i))) for camera in cameras],  # type: ignore[misc]
+    )
 
 
 def _show_assumption(name: str, text: str) -> None:

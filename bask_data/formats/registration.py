@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+from jaxtyping import Float32, UInt8
+from numpy import ndarray
 
 from bask_data.core.edge_offset import depth_edges, edge_match
 from bask_data.formats.recording import CameraRecording
@@ -84,14 +86,21 @@ def registration(camera: CameraRecording) -> Registration:
     return Registration("cannot tell", n_frames=len(scores))
 
 
-def save_picture(cameras: Sequence[CameraRecording], file: Path) -> None:
-    """Write some frames' colour with the edges of depth in red: a row for each camera."""
+def save_picture(
+    file: Path,
+    cameras: Sequence[tuple[int, Callable[[int], tuple[UInt8[ndarray, "h w 3"], Float32[ndarray, "h w"]]]]],
+) -> None:
+    """Write some frames' colour with the edges of depth in red: a row for each camera.
+
+    Args:
+        cameras: number of frames, and what reads the colour and the depth (metres) of one.
+    """
     rows = []
-    for camera in cameras:
+    for n_frames, read in cameras:
         tiles = []
-        for i in _compared(camera.n_frames)[:: max(1, N_EDGE_FRAMES // N_SHOWN)]:
-            rgb, raw = camera.read(i)
-            edges = depth_edges(raw * np.float32(camera.depth_scale)).astype(np.uint8)
+        for i in _compared(n_frames)[:: max(1, N_EDGE_FRAMES // N_SHOWN)]:
+            rgb, depth = read(i)
+            edges = depth_edges(depth).astype(np.uint8)
             rgb = rgb.copy()
             rgb[cv2.dilate(edges, np.ones((2, 2), np.uint8)) > 0] = (255, 0, 0)
             tiles.append(rgb)

@@ -17,7 +17,6 @@ from bask_data.errors import BadData
 from bask_data.formats import Format
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.prepare import prepared
-from bask_data.formats.registration import save_picture
 from bask_data.kinds import CameraFrames, Demonstration, Recording, Robot, Scan, Truth
 from bask_data.kinds.cameras import LensModel
 from bask_data.sources.recordings import is_current, published_recording, refuse_other_scope, undone_if_new, up_to_date
@@ -38,7 +37,6 @@ def ingest(
     options: SourceOptions,
     kind: Literal["scan", "demonstration"] = "scan",
     force: bool = False,
-    picture: Path | None = None,
 ) -> tuple[list[Outcome], dict[str, str]]:
     """Read a recording into a dataset, which is created if it does not exist.
 
@@ -46,7 +44,6 @@ def ingest(
 
     Args:
         into: the dataset's directory, or the dataset if it is open already.
-        picture: file for a picture of depth's edges over colour, which shows whether depth lies on colour.
 
     Returns:
         Outcomes, and the assumptions about the source in words.
@@ -68,12 +65,8 @@ def ingest(
         dataset = dataset or Dataset.open_or_create(root)
         if item not in dataset.items(makes.scope):
             _enter(dataset, item, format, source, options, makes, opened.has_labels)
-        if picture:
-            save_picture(prepared(source, opened, options).cameras, picture)
         return [up_to_date(root, makes, item)], {}
     read = prepared(source, opened, options)
-    if picture:
-        save_picture(read.cameras, picture)
     with undone_if_new(root):
         dataset = dataset or Dataset.open_or_create(root)
         return _write(dataset, item, format, source, options, makes, read, key), read.assumptions

@@ -67,7 +67,7 @@ def completed(folder: Path, line: str) -> list[str]:
     [
         ("bask-data sta", ["status"]),
         ("bask-data re", ["reconstruct", "reference", "report"]),
-        ("bask-data ingest ", [*(format.name for format in FORMATS), "sim"]),
+        ("bask-data ingest ", ["auto", *(format.name for format in FORMATS), "sim"]),
         ("bask-data run d --only ", ["table1", "table2", "pour1"]),
         ("bask-data run d --only table1,", ["table1,table2", "table1,pour1"]),
         ("bask-data reconstruct d --only ", ["table1", "table2"]),

@@ -45,7 +45,13 @@ def test_colour_without_edges_tells_nothing() -> None:
 
 
 def test_the_picture_shows_depths_edges_over_colour(tmp_path: Path) -> None:
-    save_picture([camera(), camera()], tmp_path / "sub" / "edges.png")
+    seen = camera()
+
+    def read(i: int) -> tuple[np.ndarray, np.ndarray]:
+        rgb, raw = seen.read(i)
+        return rgb, raw * np.float32(1e-4)
+
+    save_picture(tmp_path / "sub" / "edges.png", [(4, read), (4, read)])
     picture = cv2.imread(str(tmp_path / "sub" / "edges.png"))
     assert picture.shape == (2 * HEIGHT, 2 * WIDTH, 3)
     assert (picture == (0, 0, 255)).all(axis=2).mean() > 0.005
