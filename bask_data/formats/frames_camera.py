@@ -130,7 +130,7 @@ def _images(folder: Folder, groups: dict[str, dict[str, Path]], names: list[str]
             None,
             files.is_float,
             calibration,
-            calibration.statement,
+            calibration.statement_with(options.distortion),
             files.files,
         )
     clouds = CloudFiles(cloud)
@@ -170,7 +170,11 @@ def _calibration_of_clouds(
     calibration = read_calibration(folder, options.intrinsics)
     refuse_unnamed_lens(calibration, options.distortion)
     if size != clouds.size:
-        return calibration, Lens(K, clouds.size), f"{calibration.statement}; of depth {statement}"
+        return (
+            calibration,
+            Lens(K, clouds.size),
+            f"{calibration.statement_with(options.distortion)}; of depth {statement}",
+        )
     if calibration.distortion is None and (missed := clouds.residual(calibration.K)) > LARGEST_RESIDUAL:
         raise BadData(
             clouds.files[0],
@@ -179,7 +183,7 @@ def _calibration_of_clouds(
             got=f"others: points are up to {missed:.3g} pixels beside their pixels",
             fix="leave out --intrinsics.",
         )
-    return calibration, None, calibration.statement
+    return calibration, None, calibration.statement_with(options.distortion)
 
 
 def _assumptions(

@@ -91,6 +91,12 @@ class CameraIntrinsics:
     @property
     def statement(self) -> str:
         """The lens, in words, for the assumptions of a recording."""
+        return self.statement_with("")
+
+    def statement_with(self, option: str) -> str:
+        """As `statement`, where `--distortion` decides unless it is empty."""
+        if option:
+            return f"for colour and depth alike, lens by --distortion {option}; pixel (0, 0) is a centre"
         if self.distortion is None or self.distortion.is_none:
             return "pinhole, for colour and depth alike, no lens distortion; pixel (0, 0) is a centre"
         numbers = ", ".join(f"{value:g}" for value in self.distortion.parameters)

@@ -32,6 +32,9 @@ INTRINSICS = {
 TRAJECTORIES = ("CameraTrajectory.txt", "KeyFrameTrajectory.txt", "trajectory.txt", "poses.txt", "groundtruth.csv")
 """Names of what SLAM systems write, which an error offers; the first two are ORB-SLAM's."""
 
+ASSOCIATIONS = ("associations.txt", "associated.txt", "association.txt", "assoc.txt")
+"""Usual names of files that pair colour and depth, which an error offers."""
+
 
 def read(source: Path, options: TumOptions) -> SourceRecording:
     """The colour images in `source`, with the depth nearest in time and the pose at their time; without either, they
@@ -80,7 +83,7 @@ def read(source: Path, options: TumOptions) -> SourceRecording:
             "camera axes": options.axes,
             "depth": f"z-depth registered to colour, {options.depth_scale:g} m per unit, 0 = no measurement; the image "
             f"nearest in time, at most {options.max_time_difference:g} s away",
-            "intrinsics": f"{options.intrinsics}: {calibration.statement}",
+            "intrinsics": f"{options.intrinsics}: {calibration.statement_with(options.distortion)}",
             "time": images.clock.statement,
         },
         files=(*images.lists, *poses.files, *calibration.files, *hand_eye, *images.files.files),
@@ -163,6 +166,12 @@ def _associated(folder: Folder, options: TumOptions) -> _Images:
 
 
 def _file_list(folder: Folder, name: str, options: TumOptions) -> tuple[Path, Clock, list[str]]:
+    others = [other for other in ASSOCIATIONS if folder.has(other)]
+    if not folder.has(name):
+        fix = (
+            f"pass --associations {others[0]}." if others else "check SOURCE; other folders are read by ingest frames."
+        )
+        raise BadData(folder.path / name, "images", expected="a file of `timestamp file`", got="no such path", fix=fix)
     path = folder.member(name, name)
     lines = numbered_lines(path)
     words = [line.split(maxsplit=1) for _, line in lines]

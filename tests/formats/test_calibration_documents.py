@@ -8,6 +8,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 from bask_data.errors import BadData
 from bask_data.formats.files import Folder
@@ -126,8 +127,19 @@ def test_other_numbers_after_the_intrinsics_are_refused(tmp_path: Path) -> None:
         held(tmp_path, "600 601 320 240 640 480 0 0", ".txt")
 
 
-def test_a_negative_fy_is_explained(tmp_path: Path) -> None:
+def test_a_negative_fy_is_explained_by_what_gives_the_same_pixels(tmp_path: Path) -> None:
     with pytest.raises(
         BadData, match=r"y points up here.*\(ICL-NUIM\).*make fy positive, and change the signs of ty, qx"
     ):
         held(tmp_path, "481.2 0 319.5 0 -480 239.5 0 0 1", ".txt")
+    rng = np.random.default_rng(0)
+    values = np.r_[rng.normal(size=3), Rotation.random(random_state=0).as_quat()]
+    mirrored = values * [1, -1, 1, -1, 1, -1, 1]
+    # The same point of the room, in the mirrored world, is at the same pixel and depth.
+    point, flip = rng.normal(size=3), np.diag([1.0, -1, 1])
+    seen, seen_mirrored = (
+        np.linalg.inv(Rotation.from_quat(v[3:]).as_matrix()) @ (p - v[:3])
+        for v, p in ((values, point), (mirrored, flip @ point))
+    )
+    K_up = np.array([[481.2, 0, 319.5], [0, -480, 239.5], [0, 0, 1]])
+    assert np.allclose(K_up @ seen, np.abs(K_up) @ seen_mirrored)

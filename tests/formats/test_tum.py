@@ -128,6 +128,12 @@ def test_colour_and_depth_can_be_paired_by_a_file(tmp_path: Path, depth_first: b
     (camera,) = read(tmp_path, associations="pairs.txt").cameras
     assert camera.time.tolist() == COLOR_TIME
     assert np.array_equal(camera.read(3)[1], images(4)[1][3])
+    (tmp_path / "rgb.txt").unlink()
+    (tmp_path / "pairs.txt").rename(tmp_path / "associations.txt")
+    with pytest.raises(
+        BadData, match="rgb.txt: images: .* got no such path.  fix: pass --associations associations.txt"
+    ):
+        read(tmp_path)
     (tmp_path / "pairs.txt").write_text("10.0 rgb/10.000000.png\n")
     with pytest.raises(BadData, match="lines: expected `time file time file` in each, got another in line 1"):
         read(tmp_path, associations="pairs.txt")
