@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -64,8 +65,8 @@ def _written(folder: Folder, options: ColmapOptions) -> tuple[dict[str, Float[nd
             poses[name] = parse_transform(f"{path}: {name}", flat, options.quat)
     else:
         for line in read_lines(path):
-            name, _, rest = line.partition(" ")
-            poses[name] = parse_transform(f"{path}: {name}", numbers(path, rest), options.quat)
+            name, *rest = re.split(r"[\s,;]+", line, maxsplit=1)
+            poses[name] = parse_transform(f"{path}: {name}", numbers(path, " ".join(rest)), options.quat)
     return poses, (path,)
 
 

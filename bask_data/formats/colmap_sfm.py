@@ -32,7 +32,7 @@ SEED = 0
 N_THREADS = min(8, os.cpu_count() or 1)
 """Threads that find and match features; their number changes nothing in the result."""
 
-FIX = "take images that overlap more (about 80 % from one to the next), or ingest poses from elsewhere."
+FIX = "move the camera sideways between images, by views that overlap by 80 % or so, or ingest known poses."
 """What to do where images do not register."""
 
 
@@ -75,7 +75,7 @@ def structure_from_motion(images: dict[str, Path], lens: Lens | None) -> tuple[S
                 next(iter(images.values())).parent,
                 "images",
                 expected="images that register",
-                got=f"none of {len(images)}: no two have enough features in common",
+                got=f"none of {len(images)}: no two share enough features seen from places far enough apart",
                 fix=FIX,
             )
         largest = max(parts, key=lambda part: part.num_reg_images())
@@ -105,6 +105,8 @@ def _match(folder: Path, names: Sequence[str]) -> None:
     options.use_gpu, options.num_threads = False, N_THREADS
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = SEED
+    # A gripper in view of a camera on the wrist stays where it is in every image, and outvotes the scene.
+    verification.filter_stationary_matches = True
     listing = pycolmap.ImportedPairingOptions()
     listing.match_list_path = folder / "pairs.txt"
     for part in progress(_parts(pairs_to_match(len(names)), 8 * N_THREADS), "matching images"):

@@ -62,10 +62,16 @@ def _texture() -> UInt8[ndarray, "h w 3"]:
     return np.clip(128 + 100 * (fine + coarse), 0, 255).astype(np.uint8)
 
 
-def write_corner(folder: Path, world_from_cameras: Float[ndarray, "n 4 4"], first: int = 0) -> None:
-    """`images/0000.png` and on, and `depth/0000.png`, millimetres."""
-    for i, pose in enumerate(world_from_cameras, start=first):
+def write_corner(folder: Path, world_from_cameras: Float[ndarray, "n 4 4"], gripper: bool = False) -> None:
+    """`images/0000.png` and on, and `depth/0000.png`, millimetres.
+
+    Args:
+        gripper: whether the lower third of each image shows the same thing, which has no depth.
+    """
+    for i, pose in enumerate(world_from_cameras):
         color, depth = rendered(pose)
+        if gripper:
+            color[-80:], depth[-80:] = _texture()[:80, : SIZE[1]], 0
         write_image(folder / "images" / f"{i:04d}.png", color)
         write_image(folder / "depth" / f"{i:04d}.png", np.rint(1000 * depth).astype(np.uint16))
 

@@ -16,7 +16,7 @@ from bask_data.errors import BadData, UsageError
 from bask_data.formats import FORMATS
 from bask_data.formats.options.colmap import ColmapOptions
 from bask_data.formats.recording import PreparedRecording
-from tests.formats.corner import SIZE, K, camera, model, model_from_world, poses, write_corner, write_model
+from tests.formats.corner import SIZE, K, camera, model, model_from_world, poses, rendered, write_corner, write_model
 from tests.formats.folders import write_image
 
 [COLMAP] = [format for format in FORMATS if format.name == "colmap"]
@@ -201,6 +201,24 @@ def test_depth_of_other_images_is_refused(source: Path) -> None:
         write_image(source / f"depth/{i:04d}.png", depth)
     with pytest.raises(BadData, match="depth and model do not agree"):
         read(source)
+
+
+def test_known_poses_in_another_unit_are_refused(source: Path) -> None:
+    write_model(source / "sparse/0", model(POSES, PER_UNIT))
+    known = POSES.copy()
+    known[:, :3, 3] *= 1000
+    (source / "known.json").write_text(json.dumps({f"{i:04d}": known[i].tolist() for i in range(6)}))
+    with pytest.raises(BadData, match="a world 1e.03 times as large by the known poses as by depth.*--pose-unit"):
+        read(source, align_to="known.json")
+    aligned = read(source, align_to="known.json", pose_unit="mm").cameras[0].world_from_cameras
+    assert aligned == pytest.approx(POSES, abs=1e-3)
+
+
+def test_depth_in_floating_point_is_metres(source: Path) -> None:
+    write_model(source / "sparse/0", model(POSES, PER_UNIT))
+    for i in range(6):
+        np.save(source / f"depth/{i:04d}.npy", rendered(POSES[i])[1])
+    assert scale_of(read(source, depth="depth/*.npy")) == pytest.approx(PER_UNIT, rel=5e-4)
 
 
 def test_depth_without_points_is_refused(source: Path) -> None:

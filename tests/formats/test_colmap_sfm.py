@@ -26,9 +26,9 @@ N = 8
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Images and depth along an arc, and one image more that shows nothing."""
+    """Images along an arc, with a gripper in view, and depth; and one image more that shows nothing."""
     folder = tmp_path_factory.mktemp("corner")
-    write_corner(folder, poses(N))
+    write_corner(folder, poses(N), gripper=True)
     write_image(folder / "images/0100.png", np.full((*SIZE, 3), 90, np.uint8))
     write_image(folder / "depth/0100.png", np.full(SIZE, 1000, np.uint16))
     return folder
