@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 
-DTYPES = {("F", 4): "<f4", ("F", 8): "<f8", ("U", 1): "u1", ("U", 2): "<u2", ("U", 4): "<u4", ("I", 4): "<i4"}
+from bask_data.formats import pcd
 
 SIZE = (480, 640)
 CAMERA = (525.0, 525.0, 319.5, 239.5)
@@ -30,32 +29,17 @@ class OrganisedCloud:
 
 
 def read_pcd(file: Path) -> OrganisedCloud:
-    """A depth camera's cloud in PCD 0.7, `DATA binary` or `binary_compressed`, one number per field.
+    """A depth camera's cloud.
 
     A file that lists its points instead (height 1) is made an image of `SIZE` again: `CAMERA` saw them.
 
     Raises:
-        ValueError: the file is something else, is cut short, or its compressed data is broken.
+        BadData: the file is something else, is cut short, or its compressed data is broken.
     """
-    content = file.read_bytes()
-    header: dict[str, list[str]] = {}
-    position = 0
-    while "DATA" not in header:
-        end = content.find(b"\n", position)
-        if end < 0:
-            raise ValueError(f"{file}: expected a PCD header that ends with DATA")
-        words = content[position:end].decode("ascii", "replace").split()
-        position = end + 1
-        if words and not words[0].startswith("#"):
-            header[words[0]] = words[1:]
-    width, height = int(header["WIDTH"][0]), int(header["HEIGHT"][0])
-    kinds = zip(header["TYPE"], map(int, header["SIZE"]), strict=True)
-    fields = dict(zip(header["FIELDS"], (DTYPES[kind] for kind in kinds), strict=True))
-    if set(header.get("COUNT", ["1"])) != {"1"}:
-        raise ValueError(f"{file}: expected one number per field, got COUNT {header['COUNT']}")
-    columns = _columns(content[position:], header["DATA"][0], fields, width * height, file)
-    points = np.stack([columns[axis].astype(np.float32) for axis in "xyz"], axis=-1)
-    label = columns.get("label")
+    cloud = pcd.read_pcd(file)
+    height, width = cloud.height, cloud.width
+    points = np.stack([cloud.columns[axis].astype(np.float32) for axis in "xyz"], axis=-1)
+    label = cloud.columns.get("label")
     where: tuple[np.ndarray, ...] = np.unravel_index(np.arange(width * height), (height, width))
     if height == 1:
         (height, width), where = SIZE, _pixels(points)
@@ -71,71 +55,6 @@ def _pixels(points: np.ndarray) -> tuple[np.ndarray, ...]:
     fx, fy, cx, cy = CAMERA
     u, v = fx * points[:, 0] / points[:, 2] + cx, fy * points[:, 1] / points[:, 2] + cy
     return tuple(np.rint(np.stack([v, u])).astype(int).clip(0, np.array(SIZE)[:, None] - 1))
-
-
-def _columns(data: bytes, how: str, fields: dict[str, str], n_points: int, file: Path) -> dict[str, np.ndarray]:
-    """Each field's numbers. Compressed files hold field after field, others point after point."""
-    record = np.dtype(list(fields.items()))
-    n_bytes = record.itemsize * n_points
-    if how == "binary":
-        if len(data) < n_bytes:
-            raise ValueError(f"{file}: expected {n_bytes} bytes of points, got {len(data)}")
-        points = np.frombuffer(data, record, n_points)
-        return {name: points[name] for name in fields}
-    if how != "binary_compressed":
-        raise ValueError(f"{file}: expected DATA binary or binary_compressed, got {how}")
-    packed, unpacked = np.frombuffer(data, "<u4", 2).tolist()
-    if unpacked != n_bytes or len(data) < 8 + packed:
-        raise ValueError(f"{file}: expected {n_bytes} bytes of points from {packed}, got {unpacked} from {len(data)}")
-    plain, n_written = _expanded(np.frombuffer(data, np.uint8, packed, 8), unpacked)
-    if n_written != unpacked:
-        raise ValueError(f"{file}: the compressed points are broken after {max(n_written, 0)} bytes")
-    columns, begin = {}, 0
-    for name, dtype in fields.items():
-        size = np.dtype(dtype).itemsize * n_points
-        columns[name] = plain[begin : begin + size].view(dtype)
-        begin += size
-    return columns
-
-
-@njit(cache=True)
-def _expanded(packed: np.ndarray, size: int) -> tuple[np.ndarray, int]:
-    """LZF: runs of literal bytes, and copies of what was written before; and how many bytes came out.
-
-    A first byte below 32 begins a run one longer than it says. Otherwise its upper three bits and, when these are all
-    set, another byte are the length of the copy less two; its lower five bits and one more byte say how far back, less
-    one. Copies may overlap what they write.
-    """
-    plain = np.empty(size, np.uint8)
-    i, o = 0, 0
-    while i < len(packed):
-        control = np.int64(packed[i])
-        i += 1
-        if control < 32:
-            n = control + 1
-            if i + n > len(packed) or o + n > size:
-                return plain, o
-            plain[o : o + n] = packed[i : i + n]
-            i += n
-            o += n
-            continue
-        n = control >> 5
-        if n == 7:
-            if i >= len(packed):
-                return plain, o
-            n += np.int64(packed[i])
-            i += 1
-        if i >= len(packed):
-            return plain, o
-        source = o - ((control & 31) << 8) - np.int64(packed[i]) - 1
-        i += 1
-        n += 2
-        if source < 0 or o + n > size:
-            return plain, o
-        for k in range(n):
-            plain[o + k] = plain[source + k]
-        o += n
-    return plain, o
 
 
 def surface_of(points: np.ndarray, slack: tuple[float, float] = (0.005, 0.01)) -> tuple[np.ndarray, np.ndarray]:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.formats.clouds import literal
 from tests.organised_clouds import CAMERA, SIZE, read_pcd, surface_of
 
 RECORD = np.dtype([("label", "<u4"), ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgba", "<u4")])
@@ -26,12 +27,6 @@ def header(points, height, width, how):
         f"# a comment\nVERSION 0.7\nFIELDS {fields}\nSIZE 4 4 4 4 4\nTYPE U F F F U\nCOUNT 1 1 1 1 1\n"
         f"WIDTH {width}\nHEIGHT {height}\nPOINTS {len(points)}\nDATA {how}\n"
     ).encode()
-
-
-def literal(data):
-    """LZF without any copy: runs of at most 32 bytes."""
-    runs = [data[i : i + 32] for i in range(0, len(data), 32)]
-    return b"".join(bytes([len(run) - 1]) + run for run in runs)
 
 
 def compressed(points, height, width, packed=None, size=None):
@@ -88,30 +83,6 @@ def test_a_list_of_points_becomes_the_image_it_was(tmp_path):
     np.testing.assert_array_equal(cloud.label[v, u], [20, 30, 40])
     np.testing.assert_array_equal(cloud.points[v, u, 2], points["z"])
     assert np.isfinite(cloud.points).all(axis=2).sum() == 3
-
-
-def broken(points):
-    whole = compressed(points, 3, 4)
-    plain_size = points.nbytes
-    binary = header(points, 3, 4, "binary") + points.tobytes()
-    return {
-        "expected a PCD header that ends with DATA": b"VERSION 0.7\nnothing",
-        "expected DATA binary or binary_compressed, got ascii": header(points, 3, 4, "ascii"),
-        r"expected one number per field, got COUNT \['1', '3'": whole.replace(b"COUNT 1 1", b"COUNT 1 3"),
-        f"expected {plain_size} bytes of points, got {plain_size - 1}": binary[:-1],
-        f"expected {plain_size} bytes of points from [0-9]+, got 7 from": compressed(points, 3, 4, size=7),
-        f"expected {plain_size} bytes of points from [0-9]+, got {plain_size} from": whole[:-1],
-        "the compressed points are broken after 1 bytes": compressed(points, 3, 4, bytes([0, 5, 0x20, 9])),
-        "the compressed points are broken after 2 bytes": compressed(points, 3, 4, bytes([1, 5, 5])),
-        "the compressed points are broken after 0 bytes": compressed(points, 3, 4, bytes([0x20])),
-        "the compressed points are broken after 3 bytes": compressed(points, 3, 4, bytes([2, 5, 5, 5, 0xE0])),
-    }
-
-
-@pytest.mark.parametrize("message", broken(records()))
-def test_a_file_that_is_not_what_it_should_be_is_refused(tmp_path, message):
-    with pytest.raises(ValueError, match=message):
-        held(tmp_path / "a.pcd", broken(records())[message])
 
 
 def test_the_surface_ends_at_missing_points_and_at_steps_and_faces_the_camera():
