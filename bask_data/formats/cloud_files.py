@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -27,6 +27,8 @@ class CloudFiles:
     """The clouds of one camera, by frame; None where a frame has none."""
 
     clouds: tuple[Path | None, ...]
+    _last: dict[int, Cloud] = field(default_factory=dict, repr=False, compare=False)
+    """The cloud read last: its colour and its depth are asked for one after the other."""
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -87,6 +89,8 @@ class CloudFiles:
         return _residual(points[good], pixel_grid(cloud.height, cloud.width)[good], K) if good.any() else 0.0
 
     def _cloud(self, i: int) -> Cloud:
+        if (last := self._last.get(i)) is not None:
+            return last
         path = self.clouds[i]
         assert path is not None  # Frames without a file are in the faults of the recording, and are not read.
         cloud = read_organised(path)
@@ -98,6 +102,8 @@ class CloudFiles:
                 got=f"{cloud.width} x {cloud.height}",
                 fix="read the frames of one size: --frames FIRST:END, or --skip-bad.",
             )
+        self._last.clear()
+        self._last[i] = cloud
         return cloud
 
 

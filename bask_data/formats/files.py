@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import re
+import shlex
 import stat
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -247,7 +248,7 @@ def _refuse_decimal_commas(path: Path, line: str, words: list[str]) -> None:
     if len(words) < 2 or not with_comma:
         return
     if all(_DECIMAL_COMMA.fullmatch(word) or _NO_COMMA.fullmatch(word) for word in words):
-        files = path.parent / f"*{path.suffix}" if path.is_file() else "FILE"
+        files = f"{shlex.quote(str(path.parent))}/*{path.suffix}" if path.is_file() else "FILE"
         raise BadData(
             path,
             "content",

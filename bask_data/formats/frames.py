@@ -7,7 +7,7 @@ from pathlib import Path
 from jaxtyping import Float
 from numpy import ndarray
 
-from bask_data.errors import BadData
+from bask_data.errors import BadData, UsageError
 from bask_data.formats.files import Folder, source_folder
 from bask_data.formats.frames_camera import CameraOfFrames, read_camera
 from bask_data.formats.options.frames import FramesOptions
@@ -21,7 +21,10 @@ PLACEHOLDER = "{camera}"
 def read(source: Path, options: FramesOptions) -> SourceRecording:
     """The recording in `source`; see `FramesOptions` for how the files are interpreted."""
     folder = source_folder(source, options.follow_links)
-    cameras = [read_camera(folder, _of_camera(folder, options, name)) for name in options.camera.split(",")]
+    names = options.camera.split(",")
+    if len(set(names)) < len(names):
+        raise UsageError("--camera", expected="different names", got=options.camera, fix="name each camera once.")
+    cameras = [read_camera(folder, _of_camera(folder, options, name)) for name in names]
     robot, robot_files = _robot(folder, options, cameras)
     return SourceRecording(
         cameras=tuple(each.camera for each in cameras),

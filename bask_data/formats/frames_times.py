@@ -60,7 +60,7 @@ def frame_times(folder: Folder, names: list[str], options: FramesOptions) -> Fra
         path = path if path.is_file() else folder.member(options.timestamps, "--timestamps")
         lines = numbered_lines(path)
         counts = [len(numbers(path, line)) for _, line in lines]
-        odd = next((i for (i, _), n in zip(lines, counts, strict=True) if n != 1), None)
+        odd = next((f"{i}, {line[:40]!r}" for (i, line), n in zip(lines, counts, strict=True) if n != 1), None)
         if len(lines) != len(names) or odd is not None:
             raise BadData(
                 path,

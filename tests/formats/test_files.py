@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import os
+import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -146,3 +148,20 @@ def test_words_are_refused_as_numbers(tmp_path: Path) -> None:
     assert files.numbers(tmp_path, "1, 2e-3  nan")[:2] == [1.0, 0.002]
     with pytest.raises(BadData, match="content: expected numbers, got '1 __import__'"):
         files.numbers(tmp_path, "1 __import__")
+
+
+@pytest.mark.parametrize("line", ["0,5 0,25 -1,0e-3", "0,5;1;2,5", "[1,5 2]"])
+def test_decimal_commas_are_refused_with_a_command_that_replaces_them(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "my poses" / "0.txt"
+    path.parent.mkdir()
+    path.write_text(line)
+    with pytest.raises(BadData, match="expected numbers with decimal points, got decimal commas") as refused:
+        files.numbers(path, line)
+    command = refused.value.fix.partition("by: ")[2]
+    subprocess.run(command, shell=True, check=True)
+    assert files.numbers(path, path.read_text()) == [float(word) for word in re.findall(r"[-\d.e]+", path.read_text())]
+
+
+@pytest.mark.parametrize("line", ["1,2,3", "1, 2, 3", "[[1 2 3]]", "1;2;3", "(1.0,2.0,3.0)", "1,2,3,"])
+def test_numbers_are_read_however_they_are_separated(line: str) -> None:
+    assert files.numbers(Path("n.txt"), line) == [1, 2, 3]

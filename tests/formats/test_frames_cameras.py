@@ -132,6 +132,8 @@ def test_cameras_of_a_robot_must_have_as_many_frames(tmp_path: Path) -> None:
 def test_names_of_cameras_must_be_names() -> None:
     with pytest.raises(pydantic.ValidationError):
         FramesOptions(camera="wrist,")
+    with pytest.raises(UsageError, match="--camera: expected different names, got wrist,wrist"):
+        read(Path(), camera="wrist,wrist")
 
 
 def test_duplicate_times_are_named_by_file_and_line(tmp_path: Path) -> None:
