@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from jaxtyping import Float, Float32, UInt8, UInt32
 from numpy import ndarray
@@ -153,8 +154,10 @@ def _depth(
 ) -> Callable[[int], Float32[ndarray, "h w"]]:
     def read(i: int) -> Float32[ndarray, "h w"]:
         codes = images.codes(i)
-        metres = near[i] + codes * ((far[i] - near[i]) / FARTHEST_CODE)
-        return np.where(codes < FARTHEST_CODE, metres, 0).astype(np.float32)
+        metres = np.multiply(codes, (far[i] - near[i]) / FARTHEST_CODE, dtype=np.float64)
+        metres += near[i]
+        metres[codes == FARTHEST_CODE] = 0
+        return metres.astype(np.float32)
 
     return read
 
@@ -166,9 +169,9 @@ def _numbers(file: Path, order: int) -> UInt32[ndarray, "h w"]:
     if header.channels != 3:
         expected = "24-bit codes in three channels"
         raise BadData(file, "image", expected=expected, got=f"{header.channels} channels of {header.bits} bits")
-    coded = np.zeros((header.height, header.width, 4), np.uint8)
-    coded[..., :3] = decode_color(file, data)[..., ::order]
-    numbers: UInt32[ndarray, "h w"] = coded.view("<u4")[..., 0]
+    # OpenCV adds a fourth byte to each pixel many times as fast as NumPy does.
+    coded = cv2.cvtColor(decode_color(file, data), cv2.COLOR_RGB2RGBA if order == 1 else cv2.COLOR_RGB2BGRA)
+    numbers: UInt32[ndarray, "h w"] = coded.view("<u4")[..., 0] & np.uint32(FARTHEST_CODE)
     return numbers
 
 
