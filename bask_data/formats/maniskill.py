@@ -20,7 +20,7 @@ from bask_data.formats.maniskill_cameras import LAYOUTS, ManiskillCamera, unusab
 from bask_data.formats.options.maniskill import ManiskillOptions
 from bask_data.formats.poses import parse_transform
 from bask_data.formats.recording import RobotRecording, SourceRecording
-from bask_data.formats.simulated import chosen_cameras, left_out, object_labels
+from bask_data.formats.simulated import chosen_cameras, common_length, left_out, object_labels
 
 FINGERS = (-0.005, 0.045)
 """Range of a Panda's finger joints, metres: 0 to 0.04, and what the simulation overshoots."""
@@ -57,8 +57,9 @@ def read(source: Path, options: ManiskillOptions) -> SourceRecording:
     objects = object_labels(options.objects)
     cameras = [ManiskillCamera(file, observations, layout, camera) for camera in names]
     read_cameras = [camera.read(fps, objects) for camera in cameras]
+    n_frames = common_length(path, {camera.name: len(camera.frames) for camera in read_cameras})
     has_numbers = any(camera.numbers is not None for camera in cameras)
-    robot, about_robot = _robot(file, name, len(read_cameras[0].time), document)
+    robot, about_robot = _robot(file, name, n_frames, document)
     return SourceRecording(
         cameras=tuple(read_cameras),
         robot=robot,

@@ -21,7 +21,7 @@ from bask_data.formats.json_values import parse_json
 from bask_data.formats.options.robomimic import RobomimicOptions
 from bask_data.formats.recording import RobotRecording, SourceRecording
 from bask_data.formats.robomimic_cameras import RobomimicCamera, hand_poses, unusable
-from bask_data.formats.simulated import chosen_cameras, left_out
+from bask_data.formats.simulated import chosen_cameras, common_length, left_out
 
 N_FINGERS = 2
 """Joints of a parallel gripper, whose positions have opposite signs in robosuite; their distance is its opening."""
@@ -37,7 +37,7 @@ def read(source: Path, options: RobomimicOptions) -> SourceRecording:
     lacking = {camera: reason for camera, reason in reasons.items() if reason}
     names = chosen_cameras(path, options.cameras, usable, lacking)
     cameras = [RobomimicCamera(file, demo, name, info.get(name, {}), options) for name in names]
-    n_frames = cameras[0].n_frames
+    n_frames = common_length(path, {camera.name: camera.n_frames for camera in cameras})
     time, about_time = _time(file, demo, n_frames, options.fps)
     robot, about_robot = _robot(file, demo, n_frames, options)
     read_cameras = tuple(camera.read(time) for camera in cameras)

@@ -120,9 +120,8 @@ class RobomimicCamera:
         self._read_depth, self._unit, self.about_depth = robomimic_depth(file.path, self._depth, self._scale, options)
 
     def read(self, time: Float[ndarray, " t"]) -> SourceCamera:
-        if file_time := self._file.has(place := f"{self._calibration}/time"):
+        if self._file.has(place := f"{self._calibration}/time"):
             time = self._file.array(place, (self.n_frames,))
-        assert len(time) == self.n_frames or not file_time
         return SourceCamera(
             name=self.name,
             frames=tuple(map(str, range(self.n_frames))),

@@ -106,3 +106,12 @@ def left_out(reasons: dict[str, str], chosen: Sequence[str]) -> dict[str, str]:
     """The assumption on cameras that are not read, if there are any."""
     texts = [f"{name} ({reason})" for name, reason in reasons.items() if name not in chosen]
     return {"cameras": f"{', '.join(chosen)}; left out: {', '.join(texts)}"} if texts else {}
+
+
+def common_length(source: Path, n_frames: dict[str, int]) -> int:
+    """Number of frames of all cameras, which share the robot's states; `BadData` if cameras differ."""
+    counts = set(n_frames.values())
+    if len(counts) > 1:
+        got = ", ".join(f"{name}: {n}" for name, n in n_frames.items())
+        raise BadData(source, "frames", expected="as many of each camera", got=got, fix="choose one with --cameras.")
+    return counts.pop()

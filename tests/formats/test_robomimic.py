@@ -180,3 +180,12 @@ def test_frames_must_be_as_many_in_every_array(tmp_path: Path) -> None:
         file["data/demo_0/actions"] = ACTIONS[:2]
     with pytest.raises(BadData, match=r"data/demo_0/actions: expected shape \(4, any\), got \(2, 7\)"):
         read(tmp_path / "a.hdf5")
+    with h5py.File(written(tmp_path / "b.hdf5", ("agentview", HAND)), "a") as file:
+        for kind in ("image", "depth"):
+            short = file[f"data/demo_0/obs/agentview_{kind}"][:2]
+            del file[f"data/demo_0/obs/agentview_{kind}"]
+            file[f"data/demo_0/obs/agentview_{kind}"] = short
+    with pytest.raises(
+        BadData, match="frames: expected as many of each camera, got agentview: 2, robot0_eye_in_hand: 4"
+    ):
+        read(tmp_path / "b.hdf5")
