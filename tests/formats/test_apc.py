@@ -211,3 +211,27 @@ def test_invalid_object_poses_are_refused(tmp_path: Path, document: object, mess
     (folder / "object_poses.json").write_text(json.dumps(document))
     with pytest.raises(BadData, match=message):
         read(folder)
+
+
+def test_frames_that_lack_a_file_are_refused_or_left_out_or_not_chosen(demo: Path) -> None:
+    for kind in ("depth.png", "segm.png"):
+        (demo / f"frame-000001.{kind}").unlink()
+    (demo / "frame-000003.pose.txt").unlink()
+    (demo / "frame-000000.color.jpg").unlink()
+    with pytest.raises(BadData, match="frame 000000: expected a color file for every frame, got none for 1 of 15"):
+        read(demo)
+    recording = read(demo, skip_bad=True)
+    (camera,) = recording.cameras
+    assert camera.time.tolist() == [2.0, *range(4, 15)]
+    assert camera.labels is not None and set(np.unique(camera.labels(0))) <= {0, 48, 132}
+    assert recording.assumptions["frames"].startswith("12 of 15; 3 left out: 000000 (incomplete), 000001 (incomplete)")
+    assert read(demo, frames="4:8").cameras[0].time.tolist() == [4.0, 5.0, 6.0, 7.0]
+
+
+def test_links_out_of_the_folder_are_followed_where_that_is_asked_for(demo: Path, tmp_path: Path) -> None:
+    outside = shutil.move(demo / "frame-000002.depth.png", tmp_path / "content")
+    (demo / "frame-000002.depth.png").symlink_to(outside)
+    with pytest.raises(BadData, match="frame-000002.depth.png: .*got a link out of it.  fix: pass --follow-links"):
+        read(demo, frames="1:4")
+    depth = read(demo, frames="1:4", follow_links=True).cameras[0].read(1)[1]
+    assert np.array_equal(depth, read(DEMO, frames="1:4").cameras[0].read(1)[1])
