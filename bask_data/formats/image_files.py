@@ -39,9 +39,17 @@ class ImageFiles:
 
     @cached_property
     def size(self) -> tuple[int, int]:
-        """(height, width) of the first colour image, pixels."""
-        header = image_header(_first(self.color))
-        return header.height, header.width
+        """(height, width) of the first colour image that can be read, pixels."""
+        first: BadData | None = None
+        for path in self.color:
+            try:
+                if path is not None:
+                    header = image_header(path)
+                    return header.height, header.width
+            except BadData as error:
+                first = first or error
+        assert first is not None  # There is a colour file.
+        raise first
 
     @cached_property
     def is_float(self) -> bool:

@@ -44,8 +44,8 @@ def read(source: Path, options: TumOptions) -> SourceRecording:
     trajectory = _trajectory(folder, options)
     poses = poses_at_times(trajectory, list(images.names), images.time, options.time_unit, options.max_pose_gap)
     without_depth = [int(i) for i in np.flatnonzero(images.depth_of < 0)]
-    faults = {**poses.faults, **{i: _no_depth(folder, images, i, options) for i in without_depth}}
-    if len(faults) == len(images.names):
+    expected = {**poses.faults, **{i: _no_depth(folder, images, i, options) for i in without_depth}}
+    if len(expected) == len(images.names):
         raise BadData(
             source,
             "timestamps",
@@ -67,8 +67,8 @@ def read(source: Path, options: TumOptions) -> SourceRecording:
         color=images.files.read_color,
         depth=images.files.read_depth,
         depth_scale=options.depth_scale,
-        faults=faults,
-        expected={i: "no depth" if images.depth_of[i] < 0 else "no pose" for i in faults},
+        faults={**images.faults, **expected},
+        expected={i: "no depth" if images.depth_of[i] < 0 else "no pose" for i in expected},
         pose_places=poses.places,
         intrinsics_size=options.intrinsics_size or calibration.size,
         otherwise=other_readings(poses.written, options, folder=folder, quaternions=True, at=poses.at),
@@ -99,6 +99,7 @@ class _Images:
         clock: times of colour.
         depth_of: index of the depth image of each; negative if there is none.
         lists: the files that list them.
+        faults: images that are listed and not there, by index.
     """
 
     names: tuple[str, ...]
@@ -106,6 +107,7 @@ class _Images:
     depth_of: Int[ndarray, " n"]
     files: ImageFiles
     lists: tuple[Path, ...]
+    faults: dict[int, BadData]
 
     @property
     def time(self) -> Float[ndarray, " n"]:
@@ -134,11 +136,24 @@ def _images(folder: Folder, options: TumOptions) -> _Images:
         _file_list(folder, name, options) for name in ("rgb.txt", "depth.txt")
     )
     depth_of = mutual_nearest(color_clock.time, depth_clock.time, options.max_time_difference)
-    files = ImageFiles(
-        tuple(folder.member(name, "rgb.txt") for name in color),
-        tuple(folder.member(depth[k], "depth.txt") if k >= 0 else None for k in depth_of),
-    )
-    return _Images(tuple(color), color_clock, depth_of, files, (color_path, depth_path))
+    files, faults = _found(folder, color, [depth[k] if k >= 0 else None for k in depth_of])
+    return _Images(tuple(color), color_clock, depth_of, files, (color_path, depth_path), faults)
+
+
+def _found(folder: Folder, color: list[str], depth: list[str | None]) -> tuple[ImageFiles, dict[int, BadData]]:
+    """The files of colour and depth, and by index the faults of those that are not there."""
+    faults: dict[int, BadData] = {}
+    found: dict[str, list[Path | None]] = {"colour": [], "depth": []}
+    for i, names in enumerate(zip(color, depth, strict=True)):
+        for kind, name in zip(found, names, strict=True):
+            try:
+                found[kind].append(None if name is None else folder.member(name, kind))
+            except BadData as error:
+                found[kind].append(None)
+                faults[i] = error
+    if faults and not any(found["colour"]):
+        raise faults[0]
+    return ImageFiles(tuple(found["colour"]), tuple(found["depth"])), faults
 
 
 def _associated(folder: Folder, options: TumOptions) -> _Images:
@@ -157,12 +172,9 @@ def _associated(folder: Folder, options: TumOptions) -> _Images:
         )
     depth_at = 0 if image_header(folder.member(words[0][1], path.name)).bits == 16 else 2
     clock = _clock(path, [row[2 - depth_at] for row in words], [i for i, _ in lines], options)
-    names = tuple(row[3 - depth_at] for row in words)
-    files = ImageFiles(
-        tuple(folder.member(name, path.name) for name in names),
-        tuple(folder.member(row[1 + depth_at], path.name) for row in words),
-    )
-    return _Images(names, clock, np.arange(len(names)), files, (path,))
+    names = [row[3 - depth_at] for row in words]
+    files, faults = _found(folder, names, [row[1 + depth_at] for row in words])
+    return _Images(tuple(names), clock, np.arange(len(names)), files, (path,), faults)
 
 
 def _file_list(folder: Folder, name: str, options: TumOptions) -> tuple[Path, Clock, list[str]]:

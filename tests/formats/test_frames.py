@@ -176,6 +176,20 @@ def test_a_broken_image_is_refused_when_it_is_read(tmp_path: Path, kind: str, br
         read(tmp_path).cameras[0].read(2)
 
 
+def test_a_recording_whose_first_images_are_broken_is_read_without_them(tmp_path: Path) -> None:
+    poses = np.stack([rigid(np.random.default_rng(i)) for i in range(4)])
+    write_frames(tmp_path, poses)
+    (tmp_path / "frame-000000.color.png").write_bytes(b"GIF89a")
+    (tmp_path / "frame-000001.depth.png").write_bytes(b"GIF89a")
+    (tmp_path / "frame-000002.color.png").unlink()
+    (camera,) = read(tmp_path, skip_bad=True).cameras
+    assert np.allclose(camera.world_from_cameras, poses[[3]], atol=1e-9)
+    for path in tmp_path.glob("*.color.png"):
+        path.write_bytes(b"GIF89a")
+    with pytest.raises(BadData, match="frame-000000.color.png: image: expected a PNG"):
+        read(tmp_path, skip_bad=True)
+
+
 def test_swapped_depth_and_colour_are_detected(tmp_path: Path) -> None:
     write_frames(tmp_path, np.eye(4)[None])
     with pytest.raises(BadData, match="expected 8 bits per channel, got 16"):

@@ -154,6 +154,19 @@ def test_frames_without_depth_or_pose_close_enough_are_left_out_and_counted(tmp_
     )
 
 
+def test_images_that_are_listed_and_not_there_are_refused_or_left_out(tmp_path: Path) -> None:
+    write_sequence(tmp_path)
+    (tmp_path / "rgb/10.000000.png").unlink()
+    (tmp_path / "depth/10.205000.png").unlink()
+    with pytest.raises(BadData, match="10.000000.png: colour: expected a file, got no such path"):
+        read(tmp_path)
+    assert read(tmp_path, skip_bad=True).cameras[0].time.tolist() == [10.1, 10.3]
+    for path in (tmp_path / "rgb").iterdir():
+        path.unlink()
+    with pytest.raises(BadData, match="10.000000.png: colour: expected a file, got no such path"):
+        read(tmp_path, skip_bad=True)
+
+
 def test_a_sequence_without_any_frame_in_time_is_refused(tmp_path: Path) -> None:
     write_sequence(tmp_path, depth_offset=0.05)
     with pytest.raises(
