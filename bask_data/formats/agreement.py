@@ -81,6 +81,8 @@ def agreement(
     pairs = _pairs(camera.n_frames)
     if not pairs:
         return Agreement(0.0, 0, "cannot tell")
+    if _is_fixed(camera.world_from_cameras):
+        return Agreement(0.0, len(pairs), "cannot tell", rivals=(STILL,))
     views = {
         i: depth_view(camera.read_depth(i) * np.float32(camera.depth_scale), camera.Ks[i], N_WARPED)
         for i in sorted({i for pair in pairs for i in pair})
@@ -156,6 +158,11 @@ def _beats(winner: Float[ndarray, " p"], other: Float[ndarray, " p"], t: float, 
         return False
     error = float(difference.std(ddof=1)) / np.sqrt(len(difference))
     return bool(difference.mean() > t * error)
+
+
+def _is_fixed(world_from_cameras: Float[ndarray, "t 4 4"]) -> bool:
+    """Whether all poses are the same: those of a camera on a stand."""
+    return bool(np.allclose(world_from_cameras, world_from_cameras[:1], atol=1e-9))
 
 
 def _has_moved(camera: CameraRecording, pairs: list[tuple[int, int]]) -> bool:

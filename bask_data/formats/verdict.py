@@ -37,6 +37,8 @@ class Agreement:
     @property
     def text(self) -> str:
         """A sentence for the recording's assumptions; it is stored: rewording it changes the digests of artifacts."""
+        if self.rivals == (STILL,) and self.share == 0:
+            return "cannot tell: the camera does not move, so nothing shows how its pose is meant"
         if self.n_pairs == 0:
             return "cannot tell: a single frame has nothing to hold its pose against, and shows objects from one side"
         share = f"{self.share:.0%} of the depth of a frame, warped into another, meets what was measured there"

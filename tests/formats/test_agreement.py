@@ -104,7 +104,7 @@ def test_poses_of_another_recording_are_refused() -> None:
 def test_a_camera_that_does_not_move_tells_nothing() -> None:
     still = camera(np.tile(POSES[:1], (len(POSES), 1, 1)), frames=[0] * 6)
     found = agreement(still, {"--axes other": np.tile(OPENGL[:1], (6, 1, 1))})
-    assert found.verdict == "cannot tell" and "a camera that does not move" in found.text and is_doubtful(found.text)
+    assert found.verdict == "cannot tell" and "the camera does not move" in found.text and is_doubtful(found.text)
     found.refuse(Path("src"), "c")
 
 
