@@ -11,7 +11,7 @@ from threading import Lock
 from typing import Any
 
 from bask_data.errors import BadData, BaskError, imported
-from bask_data.formats.rosbag_files import ZSTD_MAGIC, Message, MessagePlace, Part, Topic, damaged, decompressed
+from bask_data.formats.rosbag_files import ZSTD_MAGIC, Data, Message, MessagePlace, Part, Topic, damaged, decompressed
 from bask_data.formats.rosbag_mcap import McapPart
 from bask_data.formats.rosbag_sqlite import SqlitePart
 from bask_data.formats.rosbag_version1 import BagPart
@@ -67,22 +67,22 @@ class Bag:
             with _reading(self.paths[i], "messages"):
                 for topic, (arrival, chunk, offset), raw in part.scan(whole):
                     if raw[:4] == ZSTD_MAGIC:
-                        raw = self.raw(topic, MessagePlace(arrival, i, chunk, offset))
+                        raw = bytes(self.raw(topic, MessagePlace(arrival, i, chunk, offset)))
                     yield Message(topic, MessagePlace(arrival, i, chunk, offset), raw)
 
-    def raw(self, topic: str, place: MessagePlace) -> bytes:
+    def raw(self, topic: str, place: MessagePlace) -> Data:
         """All bytes of the message at a place."""
         path = self.paths[place.part]
         with self._lock, _reading(path, topic):
             raw = self._parts[place.part].message(place.chunk, place.offset)
-            return decompressed(path, raw, "zstd") if raw[:4] == ZSTD_MAGIC else raw
+            return decompressed(path, bytes(raw), "zstd") if raw[:4] == ZSTD_MAGIC else raw
 
-    def decoded(self, topic: str, raw: bytes) -> Any:
+    def decoded(self, topic: str, raw: Data) -> Any:
         """A message, as `rosbags` knows its type. Definitions inside the bag are not used: those of ROS are known."""
         name = self.topics[topic].type
         with _reading(self.paths[0], f"{topic} ({name})"):
             decode = self._types.deserialize_ros1 if self.is_ros1 else self._types.deserialize_cdr
-            return decode(raw, SAME_TYPES.get(name, name))
+            return decode(memoryview(raw), SAME_TYPES.get(name, name))
 
     def head(self, topic: str, raw: bytes) -> tuple[int, str]:
         """Stamp in nanoseconds and frame of a message that begins with a header."""

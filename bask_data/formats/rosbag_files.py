@@ -18,6 +18,7 @@ from typing import NamedTuple, Protocol
 
 from bask_data.errors import BadData, imported
 from bask_data.formats.files import MAX_IMAGE_BYTES
+from bask_data.formats.rosbag_spool import Spool
 
 MESSAGE_HEAD_BYTES = 512
 """Bytes of a message that hold its header: a stamp, and a frame's name of up to this length less 20."""
@@ -62,6 +63,10 @@ class Topic:
     n_messages: int
 
 
+Data = bytes | memoryview
+"""Bytes; those of a message in a decompressed chunk are not copied."""
+
+
 class Part(Protocol):
     """A file of a bag."""
 
@@ -70,11 +75,11 @@ class Part(Protocol):
     def scan(self, whole: dict[str, bool]) -> Iterator[tuple[str, tuple[int, int, int], bytes]]:
         """Messages of topics: topic, (arrival, chunk, offset), and bytes, all or only the head."""
 
-    def message(self, chunk: int, offset: int) -> bytes:
+    def message(self, chunk: int, offset: int) -> Data:
         """All bytes of the message at a place."""
 
 
-Read = Callable[[int, int], bytes]
+Read = Callable[[int, int], Data]
 """Bytes from an offset, of a file or of a decompressed chunk: (offset, count). Fewer at its end."""
 
 
@@ -85,6 +90,7 @@ class Chunks:
         self.path = path
         self._file = path.open("rb")
         self._kept: OrderedDict[int, bytes] = OrderedDict()
+        self._spool = Spool()
 
     def read(self, offset: int, count: int) -> bytes:
         """Bytes of the file."""
@@ -96,11 +102,16 @@ class Chunks:
             return lambda offset, count: self.read(begin + offset, min(count, max(size - offset, 0)))
         data = self._kept.get(key)
         if data is None:
-            data = decompressed(self.path, self.read(begin, size), compression)
+            data = self._spool.get(key)
+            if data is None:
+                data = decompressed(self.path, self.read(begin, size), compression)
+                if compression == "bz2":
+                    self._spool.put(key, data)
             self._kept[key] = data
-            if len(self._kept) > N_CHUNKS_KEPT:
+            while len(self._kept) > N_CHUNKS_KEPT or sum(map(len, self._kept.values())) > MAX_IMAGE_BYTES:
                 self._kept.popitem(last=False)
-        return lambda offset, count: data[offset : offset + count]
+        view = memoryview(data)
+        return lambda offset, count: view[offset : offset + count]
 
 
 def decompressed(path: Path, data: bytes, compression: str) -> bytes:

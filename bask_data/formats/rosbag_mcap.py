@@ -8,7 +8,7 @@ from pathlib import Path
 
 from bask_data.errors import imported
 from bask_data.formats.files import MAX_IMAGE_BYTES
-from bask_data.formats.rosbag_files import MESSAGE_HEAD_BYTES, Chunks, Read, Topic, counted
+from bask_data.formats.rosbag_files import MESSAGE_HEAD_BYTES, Chunks, Data, Read, Topic, counted
 
 
 class McapPart:
@@ -28,7 +28,7 @@ class McapPart:
         wanted = {key: topic for key, topic in self._topic.items() if topic in whole}
         yield from self._walk(self._chunks.read, *self._span, -1, 0, wanted, whole)
 
-    def message(self, chunk: int, offset: int) -> bytes:
+    def message(self, chunk: int, offset: int) -> Data:
         """See `Part`."""
         read = self._chunks.read if chunk < 0 else self._chunk(chunk)[0]
         (size,) = struct.unpack("<Q", read(offset + 1, 8))
@@ -74,7 +74,7 @@ class McapPart:
                     n_data = size - 22 if whole[topic] else min(size - 22, MESSAGE_HEAD_BYTES)
                     if not 0 <= n_data <= MAX_IMAGE_BYTES:
                         raise ValueError(f"a message of {n_data} bytes")
-                    yield topic, (arrival, chunk, at), read(at + 31, n_data)
+                    yield topic, (arrival, chunk, at), bytes(read(at + 31, n_data))
             elif kind == 6 and depth == 0:
                 inner, begin, finish, is_packed = self._chunk(at)
                 yield from self._walk(inner, begin, finish, at if is_packed else -1, 1, wanted, whole)

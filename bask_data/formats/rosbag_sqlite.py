@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 from bask_data.errors import imported
 from bask_data.formats.files import MAX_IMAGE_BYTES, read_head
-from bask_data.formats.rosbag_files import MESSAGE_HEAD_BYTES, ZSTD_MAGIC, Topic, decompressed
+from bask_data.formats.rosbag_files import MESSAGE_HEAD_BYTES, ZSTD_MAGIC, Data, Topic, decompressed
 
 
 class SqlitePart:
@@ -41,13 +41,17 @@ class SqlitePart:
         )
         for row, key, arrival, data in rows:
             if data[:4] == ZSTD_MAGIC:
-                data = self.message(-1, row)
+                data = decompressed(self._path, self._whole(row), "zstd")
             yield self._topic[key], (arrival, -1, row), data
 
-    def message(self, chunk: int, offset: int) -> bytes:
+    def message(self, chunk: int, offset: int) -> Data:
         """See `Part`."""
-        (data,) = self._database.execute("SELECT data FROM messages WHERE id = ?", (offset,)).fetchone()
+        data = self._whole(offset)
         return decompressed(self._path, data, "zstd") if data[:4] == ZSTD_MAGIC else data
+
+    def _whole(self, row: int) -> bytes:
+        (data,) = self._database.execute("SELECT data FROM messages WHERE id = ?", (row,)).fetchone()
+        return data
 
 
 def _marks(values: list[int]) -> str:

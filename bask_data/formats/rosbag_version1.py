@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from bask_data.errors import imported
-from bask_data.formats.rosbag_files import MESSAGE_HEAD_BYTES, Chunks, Topic, counted
+from bask_data.formats.rosbag_files import MESSAGE_HEAD_BYTES, Chunks, Data, Topic, counted
 
 
 class BagPart:
@@ -32,17 +32,14 @@ class BagPart:
             for entry in self._index[connection]
         ]
         for chunk, offset, arrival, topic in sorted(entries):
-            yield (
-                topic,
-                (arrival, chunk, offset),
-                self._read(chunk, offset, None if whole[topic] else MESSAGE_HEAD_BYTES),
-            )
+            raw = self._read(chunk, offset, None if whole[topic] else MESSAGE_HEAD_BYTES)
+            yield topic, (arrival, chunk, offset), bytes(raw)
 
-    def message(self, chunk: int, offset: int) -> bytes:
+    def message(self, chunk: int, offset: int) -> Data:
         """See `Part`."""
         return self._read(chunk, offset, None)
 
-    def _read(self, chunk: int, offset: int, most: int | None) -> bytes:
+    def _read(self, chunk: int, offset: int, most: int | None) -> Data:
         begin, size = self._begin[chunk]
         # The first bytes tell: a chunk that is not compressed begins with the small length of a record's header.
         magic = self._chunks.read(begin, 4)
@@ -50,7 +47,7 @@ class BagPart:
         read = self._chunks.unpacked(chunk, begin, size, compression)
         while True:
             at, n_header = counted(read, offset, "record header", 2**20)
-            kind = _bag_fields(read(at, n_header)).get(b"op")
+            kind = _bag_fields(bytes(read(at, n_header))).get(b"op")
             at, n_data = counted(read, at + n_header, "message")
             if kind == b"\x02":
                 data = read(at, n_data if most is None else min(n_data, most))

@@ -16,8 +16,8 @@ class RosbagOptions(PoseOptions, EpisodeOptions):
     camera: str = Field(
         "camera",
         pattern=NAMES,
-        description="Name of the camera in the dataset, or of several: wrist,overhead. The topics of several are "
-        "separated by commas, too.",
+        description="Name of the camera in the dataset, or of several: wrist,overhead. Topics of several are given as "
+        "NAME=TOPIC;NAME=TOPIC, or with {camera} for the name.",
     )
     color_topic: str = Field(
         "",
