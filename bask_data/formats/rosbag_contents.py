@@ -123,8 +123,8 @@ def read_contents(bag: Bag, cameras: Sequence[CameraTopics], options: RosbagOpti
     joint_names = [name.strip() for name in options.gripper_joints.split(",") if name.strip()]
     joint_topics = bag.of_type("JointState") if joint_names else []
     poses = [options.pose_topic] if options.pose_topic else []
-    contents = Contents(images, {topic: Calibrations() for topic in infos}, FrameTree(str(bag.paths[0]), {}, None))
-    contents.tree = FrameTree(str(bag.paths[0]), {}, options.max_pose_gap)
+    tree = FrameTree(str(bag.paths[0]), {}, options.max_pose_gap)
+    contents = Contents(images, {topic: Calibrations() for topic in infos}, tree)
     whole = [*infos, *transforms, *joint_topics, *poses]
     for topic, place, raw in bag.scan({**dict.fromkeys(whole, True), **dict.fromkeys(images, False)}):
         if topic in images:

@@ -16,7 +16,7 @@ from jaxtyping import Float32, UInt8
 from numpy import ndarray
 
 from bask_data.errors import BadData
-from bask_data.formats.images import MAX_PIXELS, decode_color, decode_depth
+from bask_data.formats.images import MAX_PIXELS, PNG_SIGNATURE, decode_color, decode_depth, image_header
 from bask_data.formats.recording import Depth
 
 COLOR_BYTES = {"rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "8UC4": 4, "mono8": 1, "8UC1": 1}
@@ -58,9 +58,11 @@ class ImageKind:
         return self.encoding in DEPTH_TYPES
 
     @property
-    def is_color(self) -> bool:
-        """Whether they may be the colour images of a recording."""
-        return not self.is_depth
+    def color_rank(self) -> int:
+        """2 for colour, 1 for what may be colour in an encoding that is not read, and 0 for grey and depth."""
+        if self.is_depth or self.encoding in GREY:
+            return 0
+        return 2 if not self.encoding or self.encoding in (*COLOR_BYTES, *YUV) else 1
 
     @property
     def depth_scale(self) -> float:
@@ -76,6 +78,8 @@ def image_kind(topic: str, message: Any) -> ImageKind:
     named = encoding.strip() if rest or encoding.strip() in (*COLOR_BYTES, *DEPTH_TYPES) else ""
     if not named and ("compressedDepth" in message.format or topic.endswith("/compressedDepth")):
         named = "16UC1"
+    if not named and message.data[:8].tobytes() == PNG_SIGNATURE:
+        named = "16UC1" if image_header(topic, _bytes(message)).bits == 16 else ""
     return ImageKind(named, True)
 
 
@@ -136,7 +140,7 @@ def _pixels(where: str, message: Any, stored: np.dtype[Any], n_channels: int) ->
 
 def _compressed_depth(where: str, message: Any) -> Depth:
     data = _bytes(message)
-    has_header = "compressedDepth" in message.format or not data.startswith(b"\x89PNG")
+    has_header = "compressedDepth" in message.format or not data.startswith(PNG_SIGNATURE)
     if "rvl" in message.format.lower():
         fix = "republish it as PNG, or raw: rosrun image_transport republish compressedDepth in:=TOPIC raw out:=DEPTH"
         raise BadData(where, "format", expected="compressedDepth with PNG", got=message.format, fix=fix)

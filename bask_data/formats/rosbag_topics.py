@@ -10,15 +10,15 @@ from typing import Any
 
 from bask_data.errors import BadData
 from bask_data.formats.rosbag_bag import Bag, frame_name
-from bask_data.formats.rosbag_images import GREY, ImageKind, color_of, depth_of, image_kind
+from bask_data.formats.rosbag_images import ImageKind, color_of, depth_of, image_kind
 
 TRANSPORT = re.compile(r"/(compressed|compressedDepth|raw)$")
 """What image_transport appends to the topic of the images."""
 
-ALIGNED = re.compile(r"aligned_depth_to|depth_registered|registered_depth|depth_to_(rgb|color)")
+ALIGNED = re.compile(r"aligned_depth_to_color|depth_registered|registered_depth|depth_to_(rgb|color)")
 """Names of depth that its driver has brought onto colour's pixels: RealSense, OpenNI and Kinect 2, Azure Kinect."""
 
-RECTIFIED = re.compile(r"/image_rect|/rect/|_rect(/|$)|/rgb/image_rect")
+RECTIFIED = re.compile(r"/image_rect|/rect/|_rect(/|$)")
 """Names of images whose lens distortion was taken out: P of CameraInfo is theirs."""
 
 
@@ -68,8 +68,8 @@ class CameraTopics:
     @property
     def is_aligned(self) -> bool:
         """Whether depth lies on colour's pixels, as far as frames, names and sizes say."""
-        same_camera = self.color.frame == self.depth.frame or bool(ALIGNED.search(self.depth.name))
-        return same_camera and self.color.size == self.depth.size
+        is_named = bool(ALIGNED.search(self.depth.name)) and self.color.parts[:-1] == self.depth.parts[:-1]
+        return (is_named or self.color.frame == self.depth.frame) and self.color.size == self.depth.size
 
 
 def image_topics(bag: Bag, names: Sequence[str]) -> dict[str, ImageTopic]:
@@ -117,7 +117,7 @@ def chosen_topics(bag: Bag, color: str, depth: str) -> CameraTopics:
         topics = image_topics(bag, [color, depth])
         return CameraTopics(topics[color], topics[depth])
     topics = image_topics(bag, there)
-    colors = [topics[color]] if color else [topic for topic in topics.values() if topic.kind.is_color]
+    colors = [topics[color]] if color else [topic for topic in topics.values() if not topic.kind.is_depth]
     depths = [topics[depth]] if depth else [topic for topic in topics.values() if topic.kind.is_depth]
     if not colors or not depths:
         lacking = "--color-topic" if not colors else "--depth-topic"
@@ -133,7 +133,7 @@ def chosen_topics(bag: Bag, color: str, depth: str) -> CameraTopics:
     return best
 
 
-def _fitness(topics: CameraTopics) -> tuple[bool, bool, int, bool, bool, bool, str]:
+def _fitness(topics: CameraTopics) -> tuple[int, bool, int, bool, bool, bool, str]:
     """How well two topics may be the colour and depth of a camera: the larger, the better. The first three say which
     camera, the others which of its images: as recorded before rectified, and not compressed before compressed."""
     color, depth = topics.color, topics.depth
@@ -144,7 +144,7 @@ def _fitness(topics: CameraTopics) -> tuple[bool, bool, int, bool, bool, bool, s
         shared += 1
     named_color = any(word in color.base for word in ("rgb", "color", "colour"))
     return (
-        color.kind.encoding not in GREY,
+        color.kind.color_rank,
         topics.is_aligned,
         shared,
         not color.kind.is_compressed,
