@@ -13,12 +13,16 @@ from bask_data.core.depth import SIGMA_FROM_MAD
 from bask_data.core.geometry import in_image
 
 EDGE_RADIUS = 2
-"""Pixels around a point whose depth must be about the same: colour and depth of RGB-D cameras lie up to 3 pixels apart,
+"""Pixels around a point whose depth must be that of one plane: colour and depth of RGB-D cameras lie up to 3 pixels apart,
 and features are found at edges. Sensitivity not measured."""
 
 EDGE_STEP = 0.02
-"""Largest difference of depths around a point, as a share of their median; more is an edge. A surface that is inclined
-by 60 degrees and seen with f = 600 pixels has 0.012. Sensitivity not measured."""
+"""Largest difference of the sum of least and largest depth around a point from twice their median, as a share of it. At
+an edge this is the step, on a plane 0 at any slope. Sensitivity not measured."""
+
+STEEPEST = 0.1
+"""Largest difference of depths around a point, as a share of their median: planes seen by f = 200 pixels, as phones'
+depth is, have 0.1 at 80 degrees; more is an edge or grazed. Sensitivity not measured."""
 
 LEAST_AROUND = 3
 """Measured pixels that are needed around a point; registered depth has holes. Sensitivity not measured."""
@@ -67,8 +71,10 @@ def depth_log_ratios(
     if not kept.any():
         return np.zeros(0)
     middle = np.nanmedian(around, axis=1)
-    flat = np.nanmax(around, axis=1) - np.nanmin(around, axis=1) <= EDGE_STEP * middle
-    return np.log(middle[flat] / z[kept][flat])
+    least, largest = np.nanmin(around, axis=1), np.nanmax(around, axis=1)
+    is_plane = np.abs(least + largest - 2 * middle) <= EDGE_STEP * middle
+    is_plane &= largest - least <= STEEPEST * middle
+    return np.log(middle[is_plane] / z[kept][is_plane])
 
 
 def metric_scale(log_ratios: Sequence[Float[ndarray, " _"]]) -> MetricScale | None:

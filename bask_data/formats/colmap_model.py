@@ -22,7 +22,7 @@ from bask_data.formats.files import Folder, listed, natural
 MODEL_FILES = ("cameras", "images", "points3D", "rigs", "frames")
 """Files of a model, `.bin` or `.txt`; the last two since COLMAP 3.12, and only where it wrote them."""
 
-PLACES = ("sparse", "colmap/sparse", "distorted/sparse", "model", "colmap", ".", "sparse_txt")
+PLACES = ("sparse", "colmap/sparse", "distorted/sparse", "dslr/colmap", "model", "colmap", ".", "sparse_txt")
 """Folders in which models are looked for, and in their folders 0, 1 and so on."""
 
 

@@ -36,3 +36,12 @@ def test_scale_is_the_median_of_images_and_its_spread_is_stated() -> None:
     assert scale.point_spread == pytest.approx(0.05, rel=0.05)
     assert (scale.n_images, scale.n_points) == (250, 50000)
     assert metric_scale(few) is None
+
+
+def test_steep_plane_counts_and_a_step_on_it_does_not() -> None:
+    across = np.arange(60.0)
+    depth = np.tile(1.0 + 0.01 * across, (40, 1))
+    depth[:, 40:] += 0.1
+    uv = np.array([[20.0, 20.0], [40.0, 20.0], [50.0, 20.0]])
+    ratios = depth_log_ratios(uv, np.array([1.2, 1.5, 1.6]), depth)
+    assert np.exp(ratios) == pytest.approx([1.0, 1.0])
