@@ -226,6 +226,26 @@ def numbered_lines(path: Path) -> list[tuple[int, str]]:
     return [(i, line) for i, line in lines if line]
 
 
+def without_header(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """The lines without a first one that names the columns, as in CSV files: one of several words, none a number."""
+    words = words_of(lines[0][1]) if len(lines) > 1 else []
+    return lines[1:] if len(words) > 1 and not any(map(is_number, words)) else lines
+
+
+def words_of(line: str) -> list[str]:
+    """Words in a line, separated by spaces, commas or semicolons, in brackets or not."""
+    return _BRACKETS.sub(" ", line).replace(",", " ").split()
+
+
+def is_number(word: str) -> bool:
+    """Whether a word is a number; NaN and infinity are."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
 def numbers(path: Path, line: str) -> list[float]:
     """Numbers in a line, separated by spaces, commas or semicolons, in brackets or not; `BadData` for anything else."""
     words = _BRACKETS.sub(" ", line).split()

@@ -183,10 +183,7 @@ def _belongs(trajectory: Trajectory, names: list[str], times: FrameTimes, option
     if option == "number":
         return "number"
     numbers = {frame_number(name) for name in names}
-    stamps = trajectory.stamps
-    found = (
-        {int(key) for key in stamps.tolist()} if (np.isfinite(stamps) & (stamps == np.rint(stamps))).all() else set()
-    )
+    found = {number for number in trajectory.numbers if number is not None}
     n_fit = len(numbers & found)
     if option == "auto" and n_fit == len(numbers):
         return "number"
@@ -233,7 +230,7 @@ def _index_of_order(trajectory: Trajectory, names: list[str]) -> tuple[list[int]
 
 
 def _index_of_number(trajectory: Trajectory, names: list[str]) -> tuple[list[int], dict[int, BadData]]:
-    by_number = {int(key): k for k, key in enumerate(trajectory.stamps.tolist()) if key == int(key)}
+    by_number = {number: k for k, number in enumerate(trajectory.numbers)}
     numbers = [frame_number(name) for name in names]
     index = [-1 if number is None else by_number.get(number, -1) for number in numbers]
     faults = {

@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from bask_data.errors import BadData
 from bask_data.formats.clock import seconds
-from bask_data.formats.files import Folder, frame_number, numbered_lines, numbers
+from bask_data.formats.files import Folder, frame_number, is_number, numbered_lines, numbers
 from bask_data.formats.options.frames import FramesOptions
 from bask_data.formats.trajectory_files import stamps_of
 
@@ -59,6 +59,8 @@ def frame_times(folder: Folder, names: list[str], options: FramesOptions) -> Fra
         path = Path(options.timestamps)
         path = path if path.is_file() else folder.member(options.timestamps, "--timestamps")
         lines = numbered_lines(path)
+        if len(lines) == len(names) + 1 and not is_number(lines[0][1]):
+            lines = lines[1:]  # The name of the column.
         counts = [len(numbers(path, line)) for _, line in lines]
         odd = next((f"{i}, {line[:40]!r}" for (i, line), n in zip(lines, counts, strict=True) if n != 1), None)
         if len(lines) != len(names) or odd is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from bask_data.errors import BadData
 from bask_data.formats.arrays import read_npy
-from bask_data.formats.files import numbered_lines, numbers
+from bask_data.formats.files import frame_number, is_number, numbered_lines, numbers, without_header, words_of
 from bask_data.formats.poses import parse_transform
 
 POSE_LENGTHS = (7, 12, 16)
@@ -35,7 +35,7 @@ class Trajectory:
 
     Args:
         poses: transforms, not checked; may hold NaN.
-        keys: the number or time before each pose, as written; empty if the file has none.
+        keys: the number, time or name before each pose, as written; empty if the file has none.
         lines: line of each pose, from 1; counted from 1 where the file has no lines.
         quaternions: whether rotations are quaternions.
         in_blocks: whether poses take several lines each.
@@ -54,8 +54,33 @@ class Trajectory:
 
     @property
     def stamps(self) -> ndarray:
-        """The keys as numbers: integers where all are, as nanoseconds since 1970 need them."""
-        return stamps_of(self.keys)
+        """The keys as numbers: integers where all are, as nanoseconds since 1970 need them.
+
+        Raises:
+            BadData: they are names.
+        """
+        try:
+            return stamps_of(self.keys)
+        except ValueError as error:
+            raise BadData(
+                self.path,
+                "time",
+                expected="lines that begin with times",
+                got=str(error)[:100],
+                fix="write the time of each pose before it.",
+            ) from error
+
+    @property
+    def numbers(self) -> list[int | None]:
+        """The frame's number in each key: the key itself, or the last number in the name of a file; None without."""
+        return [_number_in(key) for key in self.keys]
+
+
+def _number_in(key: str) -> int | None:
+    if not is_number(key):
+        return frame_number(PurePosixPath(key).stem)
+    value = float(key)
+    return int(value) if np.isfinite(value) and value == np.rint(value) else None
 
 
 def stamps_of(words: tuple[str, ...] | list[str]) -> ndarray:
@@ -71,15 +96,18 @@ def stamps_of(words: tuple[str, ...] | list[str]) -> ndarray:
 
 
 def read_trajectory(path: Path, layout: PoseLayout) -> Trajectory:
-    """The poses in a file: a pose per line, with a number or a time before it or not; matrices of 4 or 3 lines, with a
-    line before each (Open3D's `.log`) or not; or an array (t, 4, 4) of NumPy.
+    """The poses in a file: a pose per line, with a number, a time or a name before it or not; matrices of 4 or 3 lines,
+    with a line before each (Open3D's `.log`) or not; or an array (t, 4, 4) of NumPy.
 
     Raises:
         BadData: the file is none of these, or a quaternion's length is not 1.
     """
     if path.suffix.lower() == ".npy":
         return _of_array(path, layout)
-    lines = numbered_lines(path)
+    lines = [(i, line) for i, line in without_header(numbered_lines(path)) if words_of(line)]  # Brackets may be alone.
+    names = [words_of(line)[0] for _, line in lines]
+    if lines and not any(map(is_number, names)):
+        return _of_named_lines(path, lines, names, layout)
     rows = [numbers(path, line) for _, line in lines]
     lengths = {len(row) for row in rows}
     if lengths == {4} or (len(rows) >= 4 and len(rows[0]) <= 4 and lengths <= {1, 2, 3, 4}):
@@ -90,7 +118,7 @@ def read_trajectory(path: Path, layout: PoseLayout) -> Trajectory:
         return Trajectory(
             path,
             np.stack([_transform(f"{path}: line {i}", row, layout) for i, row in numbered]),
-            tuple(line.replace(",", " ").replace(";", " ").split()[0] for _, line in lines) if has_key else (),
+            tuple(names) if has_key else (),
             tuple(i for i, _ in numbered),
             quaternions=length - has_key == 7,
         )
@@ -102,6 +130,13 @@ def read_trajectory(path: Path, layout: PoseLayout) -> Trajectory:
         got=f"{len(rows[odd])} numbers in line {lines[odd][0]}, {len(rows[0])} in the first" if rows else "no lines",
         fix="check the file, and --pose.",
     )
+
+
+def _of_named_lines(path: Path, lines: list[tuple[int, str]], names: list[str], layout: PoseLayout) -> Trajectory:
+    """A pose per line, after the name of its image."""
+    rows = [numbers(path, line[len(name) :].lstrip(" ,;\t")) for (_, line), name in zip(lines, names, strict=True)]
+    poses = [_transform(f"{path}: line {i}", row, layout) for (i, _), row in zip(lines, rows, strict=True)]
+    return Trajectory(path, np.stack(poses), tuple(names), tuple(i for i, _ in lines), len(rows[0]) == 7)
 
 
 def _transform(where: str, values: list[float], layout: PoseLayout) -> Float[ndarray, "4 4"]:

@@ -90,7 +90,7 @@ def test_frames_without_numbers_are_timed_by_their_position(tmp_path: Path) -> N
 
 def test_time_can_come_from_a_file_or_from_the_names(tmp_path: Path) -> None:
     write_frames(tmp_path, np.stack([np.eye(4)] * 2), names=["12.25", "12.5"])
-    (tmp_path / "times.txt").write_text("# s\n3.5\n4.5\n")
+    (tmp_path / "times.txt").write_text("# s\ntimestamp\n3.5\n4.5\n")
     recording = read(tmp_path, timestamps="times.txt")
     assert recording.cameras[0].time.tolist() == [3.5, 4.5]
     assert tmp_path / "times.txt" in recording.files

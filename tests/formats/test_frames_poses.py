@@ -97,6 +97,13 @@ def test_frames_whose_number_no_line_has_can_be_left_out(tmp_path: Path) -> None
     assert np.allclose(camera.world_from_cameras, POSES[[0, 2, 3]], atol=1e-9)
 
 
+def test_poses_with_the_names_of_images_belong_to_these(tmp_path: Path) -> None:
+    write_frames(tmp_path, POSES, names=["5", "6", "7", "8"])
+    order = [2, 0, 3, 1]
+    (tmp_path / "t.txt").write_text(lines([f"frame-{5 + i}.color.png" for i in order], POSES[order]))
+    assert np.allclose(read(tmp_path, pose="t.txt").cameras[0].world_from_cameras, POSES, atol=1e-9)
+
+
 def test_a_log_belongs_to_frames_in_order_even_where_they_are_counted_from_one(tmp_path: Path) -> None:
     write_frames(tmp_path, POSES, names=["1", "2", "3", "4"])
     np.savetxt(tmp_path / "pose.txt", POSES.reshape(16, 4))

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,7 @@ FORMS = {
     "with semicolons": rows(quaternions()).replace(" ", "; "),
     "blocks of four lines": "\n\n".join(rows(pose) for pose in POSES),
     "blocks of three lines": "\n".join(rows(pose[:3]) for pose in POSES),
+    "blocks as JSON is printed": json.dumps(POSES.tolist(), indent=1).replace(",\n   ", ", "),
     "blocks as NumPy prints them": "\n".join(str(pose.tolist()).replace("], [", "],\n [") for pose in POSES),
 }
 
@@ -45,7 +47,7 @@ def test_poses_read_the_same_in_every_form(tmp_path: Path, form: str) -> None:
     trajectory = held(tmp_path / "t.txt", "# remark\n" + FORMS[form])
     assert np.allclose(trajectory.poses, POSES, atol=1e-12)
     assert trajectory.keys == ()
-    assert trajectory.place(0).endswith("t.txt: line 2")
+    assert trajectory.place(0).endswith(f"t.txt: line {5 if 'JSON' in form else 2}")
 
 
 def test_a_log_of_open3d_is_read(tmp_path: Path) -> None:
@@ -94,6 +96,21 @@ def test_column_major_matrices_and_other_quaternions_are_read_where_they_are_sta
         assert np.allclose(held(tmp_path / "t.txt", text, column_major=True).poses, POSES, atol=1e-12)
     text = rows(quaternions("wxyz"))
     assert np.allclose(held(tmp_path / "t.txt", text, quat="wxyz").poses, POSES, atol=1e-12)
+
+
+@pytest.mark.parametrize("separator", [" ", ",", ", "])
+def test_a_header_is_skipped_and_names_of_images_are_keys(tmp_path: Path, separator: str) -> None:
+    lines = [line.replace(" ", separator) for line in rows(quaternions()).splitlines()]
+    text = "\n".join(f"rgb/img_{i:03d}.png{separator}{line}" for i, line in enumerate(lines, 7))
+    header = separator.join(["image", "tx", "ty", "tz", "qx", "qy", "qz", "qw"])
+    trajectory = held(tmp_path / "t.csv", f"{header}\n{text}")
+    assert np.allclose(trajectory.poses, POSES, atol=1e-12)
+    assert trajectory.keys[1] == "rgb/img_008.png" and trajectory.numbers == list(range(7, 13))
+    assert trajectory.lines[0] == 2 and trajectory.quaternions
+    with pytest.raises(BadData, match="time: expected lines that begin with times"):
+        _ = trajectory.stamps
+    timed = held(tmp_path / "t.csv", "\n".join([header, *(f"{i}.5{separator}{line}" for i, line in enumerate(lines))]))
+    assert timed.stamps.tolist() == [0.5, 1.5, 2.5, 3.5, 4.5, 5.5] and timed.numbers == [None] * 6
 
 
 @pytest.mark.parametrize(
