@@ -100,11 +100,10 @@ def decode_stray(folder: Path) -> None:
 
 
 def decode_hdf5(path: Path, color: str, depth: str) -> None:
-    """Decode frame by frame by h5py."""
+    """Decode by h5py, all frames at once: each chunk is decoded once."""
     with h5py.File(path) as file:
         for name in (color, depth):
-            for i in range(len(file[name])):
-                file[name][i]
+            file[name][:]
 
 
 def decode_bag(path: Path) -> None:

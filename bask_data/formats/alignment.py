@@ -74,15 +74,15 @@ class AlignedFrames:
         distortion = self._lens.distortion
         return None if distortion is None or distortion.is_none else distortion
 
-    def read(self, k: int) -> tuple[UInt8[ndarray, "h w 3"], UInt16[ndarray, "h w"]]:
-        """RGB and raw depth of the k-th kept frame."""
+    def read_color(self, k: int) -> UInt8[ndarray, "h w 3"]:
+        """RGB of the k-th kept frame."""
         i = self.kept[k]
         lens = self.camera.lens.at(i)
         color = undistorted(self._checked("colour", i, self.camera.color(i), self.camera.lens), self._maps(lens))
         if self.to == "depth":
             depth_lens = (self.camera.depth_lens or self.camera.lens).at(i)
             color = color_at_depth_size(color, lens.K, depth_lens.K, depth_lens.size)
-        return color, self.read_depth(k)
+        return color
 
     def read_depth(self, k: int) -> UInt16[ndarray, "h w"]:
         """Raw depth of the k-th kept frame."""
@@ -151,6 +151,8 @@ def aligned(source: Path, camera: SourceCamera, kept: list[int], options: Source
     """
     folder = Folder(source if source.is_dir() else source.parent, options.follow_links)
     camera, assumptions = _with_options(folder, camera, kept[0], options)
+    if camera.color_from_depth is None and _are_same(camera.lens, camera.depth_lens):
+        camera = replace(camera, depth_lens=None)
     check_lens(camera, camera.lens, camera.intrinsics_size)
     camera.color(kept[0])  # Its errors come first: swapped colour and depth are easier to see in colour.
     to = None
@@ -171,6 +173,13 @@ def aligned(source: Path, camera: SourceCamera, kept: list[int], options: Source
     values = depth_values(camera, kept)
     assumptions |= _stated(camera, to, options, values)
     return AlignedFrames(camera, kept, to, values, assumptions, options.confidence, options.depth_is == "ray")
+
+
+def _are_same(lens: Lens, depth_lens: Lens | None) -> bool:
+    """Whether depth lies on colour, although the source states a lens of its own for it."""
+    if depth_lens is None or lens.size != depth_lens.size or lens.distortion != depth_lens.distortion:
+        return False
+    return lens.K.shape == depth_lens.K.shape and bool((lens.K == depth_lens.K).all())
 
 
 def _with_options(

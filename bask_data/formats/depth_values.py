@@ -46,7 +46,7 @@ class DepthValues:
         """Raw depth in which no measurement is 0."""
         if raw.dtype == np.uint16:
             return raw
-        return np.where(np.isfinite(raw) & (raw > 0), raw, np.float32(0)).astype(np.float32)
+        return np.where((raw > 0) & (raw < np.inf), raw, np.float32(0)).astype(np.float32, copy=False)
 
     def metres(self, raw: Depth) -> Float32[ndarray, "h w"]:
         """Depth in metres."""
@@ -54,8 +54,10 @@ class DepthValues:
 
     def quantised(self, metres: Float32[ndarray, "h w"]) -> UInt16[ndarray, "h w"]:
         """Depth in stored units; what they do not reach is 0."""
-        units = np.rint(metres.astype(np.float64) / self.scale)
-        return np.where((units >= 0) & (units <= LARGEST), units, 0).astype(np.uint16)
+        units = np.divide(metres, self.scale, dtype=np.float64)
+        np.rint(units, out=units)
+        units[~((units >= 0) & (units <= LARGEST))] = 0
+        return units.astype(np.uint16)
 
     def stored(self, raw: Depth) -> UInt16[ndarray, "h w"]:
         """Depth in stored units, from 16 bits as they are or from the source's floating point."""

@@ -17,6 +17,7 @@ from bask_data.formats.agreement import agreement
 from bask_data.formats.alignment import AlignedFrames, aligned
 from bask_data.formats.bad_frames import Bad, bad_frames, chosen_frames, refuse
 from bask_data.formats.files import listed
+from bask_data.formats.kept_frames import KeptFrames
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.poses import is_rounded, rigid
 from bask_data.formats.recording import (
@@ -47,6 +48,9 @@ def prepared(source: Path, recording: SourceRecording, options: SourceOptions) -
     """
     if recording.completed is not None:
         recording = recording.completed(recording)
+    decoded = {each.name: (KeptFrames(each.color), KeptFrames(each.depth)) for each in recording.cameras}
+    sources = (replace(each, color=decoded[each.name][0], depth=decoded[each.name][1]) for each in recording.cameras)
+    recording = replace(recording, cameras=tuple(sources))
     chosen = {camera.name: chosen_frames(camera, options.frames) for camera in recording.cameras}
     bad = [fault for camera in recording.cameras for fault in bad_frames(camera, chosen[camera.name], options)]
     refused = [fault for fault in bad if not fault.is_expected]
@@ -57,7 +61,10 @@ def prepared(source: Path, recording: SourceRecording, options: SourceOptions) -
     cameras, agreements, assumptions = [], {}, dict(recording.assumptions)
     for camera in recording.cameras:
         frames = aligned(source, camera, kept[camera.name], options)
-        ready = _camera(source, camera, frames, kept[camera.name], origin)
+        for first_images in decoded[camera.name]:
+            first_images.hand_out()
+        images = KeptFrames(frames.read_color), KeptFrames(frames.read_depth)
+        ready = _camera(source, camera, frames, images, kept[camera.name], origin)
         cameras.append(ready)
         prefix = "" if len(recording.cameras) == 1 else f"{camera.name}: "
         assumptions |= {prefix + name: text for name, text in frames.assumptions.items()}
@@ -69,6 +76,8 @@ def prepared(source: Path, recording: SourceRecording, options: SourceOptions) -
         assumptions[f"{prefix}registration"] = registration(ready).text
         if not options.trust:
             agreements[camera.name].refuse(source, camera.name)
+        for kept_images in images:
+            kept_images.hand_out()
     if origin.any():
         x, y, z = origin
         assumptions["origin"] = f"({x:.0f}, {y:.0f}, {z:.0f}) m of the source's world is 0 here; exports add it again"
@@ -111,7 +120,12 @@ def _kept(
 
 
 def _camera(
-    source: Path, camera: SourceCamera, frames: AlignedFrames, kept: list[int], origin: Float[ndarray, "3"]
+    source: Path,
+    camera: SourceCamera,
+    frames: AlignedFrames,
+    images: tuple[KeptFrames, KeptFrames],
+    kept: list[int],
+    origin: Float[ndarray, "3"],
 ) -> CameraRecording:
     poses = np.stack([rigid(camera.pose_place(i), camera.world_from_cameras[i]) for i in kept])
     time = camera.time[kept]
@@ -132,8 +146,8 @@ def _camera(
         depth_scale=frames.depth_scale,
         world_from_cameras=_moved(poses, origin),
         time=time,
-        read=frames.read,
-        read_depth=frames.read_depth,
+        read=lambda k: (images[0](k), images[1](k)),
+        read_depth=images[1],
         labels=frames.read_labels if camera.labels else None,
         distortion=frames.distortion,
     )
