@@ -23,6 +23,9 @@ DTYPES = {
 }
 """NumPy's types by TYPE and SIZE of a field."""
 
+COLORS = ("rgb", "rgba")
+"""Names of a field of packed colours."""
+
 MAX_HEADER_BYTES = 10_000
 """Longest header that is looked through, bytes; real ones have some hundred."""
 
@@ -41,7 +44,7 @@ class Cloud:
     @property
     def color(self) -> UInt8[ndarray, "h w 3"] | None:
         """RGB, if the points have it: packed in a field `rgb` or `rgba`, as 0xAARRGGBB."""
-        packed = next((self.columns[name] for name in ("rgb", "rgba") if name in self.columns), None)
+        packed = next((self.columns[name] for name in COLORS if name in self.columns), None)
         if packed is None or packed.dtype.itemsize != 4:
             return None
         bgra = np.ascontiguousarray(packed).view(np.uint8).reshape(self.height, self.width, 4)
@@ -81,7 +84,7 @@ def _parsed(data: bytes) -> Cloud:
     if "DATA" not in header:
         raise ValueError("no DATA")
     # Names may repeat: PCL calls all padding `_`.
-    fields = [(f"{i}", kind, (n,)) for i, (kind, n) in enumerate(zip(dtypes, counts, strict=True))]
+    fields = [(f"{i} {name}", kind, (n,)) for i, (name, kind, n) in enumerate(zip(names, dtypes, counts, strict=True))]
     read = {"ascii": _of_text, "binary": _of_bytes, "binary_compressed": _of_packed_bytes}
     if header["DATA"][0] not in read:
         raise ValueError(f"DATA {header['DATA'][0]}")
@@ -135,17 +138,18 @@ def _of_packed_bytes(data: bytes, record: np.dtype, n_points: int) -> list[ndarr
 
 def _of_text(data: bytes, record: np.dtype, n_points: int) -> list[ndarray]:
     words = data.split()
-    shapes = [(record[name].subdtype or (record[name], (1,))) for name in record.names or ()]
-    n_words = sum(shape[0] for _, shape in shapes)
+    shapes = [(name, *(record[name].subdtype or (record[name], (1,)))) for name in record.names or ()]
+    n_words = sum(shape[0] for _, _, shape in shapes)
     if len(words) < n_points * n_words:
         raise ValueError(f"{len(words)} of {n_points * n_words} numbers")
     columns, begin = [], 0
-    for kind, (count,) in shapes:
+    for name, kind, (count,) in shapes:
         picked = [words[begin + j :: n_words][:n_points] for j in range(count)]
-        # Packed colours are written as whole numbers, or as the floating-point number of the same bytes.
-        whole = kind.kind == "f" and b"." not in picked[0][0] and picked[0][0].isdigit() and kind.itemsize == 4
-        values = np.array(picked, dtype=np.float64).T
-        columns.append(values.astype(kind) if not whole or values.max() < 2**23 else values.astype("<u4").view(kind))
+        # Packed colours are written as whole numbers, or as the floating-point numbers of the same bytes.
+        if name.split()[1] in COLORS and all(word.isdigit() for word in picked[0]):
+            columns.append(np.array(picked, dtype=np.uint32).T.view(kind))
+        else:
+            columns.append(np.array(picked, dtype=np.float64).T.astype(kind))
         begin += count
     return columns
 

@@ -36,6 +36,19 @@ def test_points_and_colours_come_back_in_every_encoding(tmp_path: Path, how: str
     assert cloud.color is not None and np.array_equal(cloud.color, color)
 
 
+def test_dark_colours_in_text_are_packed_bytes_however_they_are_written(tmp_path: Path) -> None:
+    _, _, color = content()
+    dark = organised(np.ones((HEIGHT, WIDTH), np.float32), color // 8, K)
+    as_whole = held(tmp_path / "a.pcd", pcd(dark, HEIGHT, WIDTH, "ascii"))
+    text = pcd(dark, HEIGHT, WIDTH, "ascii").decode()
+    header, _, body = text.partition("ascii\n")
+    rows = [line.rsplit(" ", 1) for line in body.splitlines()]
+    floats = "\n".join(f"{row} {np.uint32(rgb).view(np.float32):.9g}" for row, rgb in rows)
+    as_float = held(tmp_path / "b.pcd", f"{header}ascii\n{floats}".encode())
+    for cloud in (as_whole, as_float):
+        assert cloud.color is not None and np.array_equal(cloud.color, color // 8)
+
+
 @pytest.mark.parametrize(("ascii", "compressed"), [(True, False), (False, False), (False, True)])
 def test_clouds_that_open3d_writes_are_read(tmp_path: Path, ascii: bool, compressed: bool) -> None:
     rng = np.random.default_rng(0)
