@@ -107,7 +107,7 @@ PANELS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "rosbag": {
         EVERYDAY: ("camera", "frames", "episode", "split"),
         "Topics": ("color_topic", "depth_topic", "camera_info_topic", "depth_info_topic"),
-        "Poses": ("world", "camera_frame", "pose_topic", "pose_frame", "ignore_tf"),
+        "Poses": ("world", "camera_frame", "camera_axes", "pose_topic", "pose_frame", "ignore_tf"),
         "Robot": ("gripper_frame", "gripper_joints"),
         "Times": ("stamps", "max_time_difference", "max_pose_gap"),
         "Depth and lens": ("intrinsics", "intrinsics_size", "depth_scale"),

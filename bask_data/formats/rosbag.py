@@ -22,8 +22,17 @@ from bask_data.formats.rosbag_robot import robot_states
 from bask_data.formats.rosbag_sources import found_bags, opened
 from bask_data.formats.rosbag_topics import CameraTopics, chosen_topics
 
-INFOS = ("camera", "depth")
-"""Options `--camera-info-topic` and `--depth-info-topic`, of colour and of depth."""
+PER_CAMERA = (
+    "color_topic",
+    "depth_topic",
+    "camera_info_topic",
+    "depth_info_topic",
+    "camera_frame",
+    "pose_frame",
+    "intrinsics",
+    "gripper_from_camera",
+)
+"""Options that have a value for each of several cameras."""
 
 
 def read(source: Path, options: RosbagOptions) -> SourceRecording:
@@ -31,13 +40,12 @@ def read(source: Path, options: RosbagOptions) -> SourceRecording:
     they are left out."""
     bag, files = opened(source, options)
     names = options.camera.split(",")
-    topics = _topics(bag, names, options)
+    own = _own_options(names, options)
+    topics = [chosen_topics(bag, each.color_topic, each.depth_topic) for each in own]
+    _check_distinct(names, topics)
     contents = read_contents(bag, topics, options)
-    infos = [by_camera(f"--{what}-info-topic", getattr(options, f"{what}_info_topic"), names) for what in INFOS]
-    cameras = [
-        BagCamera(bag, contents, camera, (infos[0].get(name, ""), infos[1].get(name, "")), options)
-        for name, camera in zip(names, topics, strict=True)
-    ]
+    cameras = [BagCamera(bag, contents, camera, each) for camera, each in zip(topics, own, strict=True)]
+    _check_world(bag, names, cameras)
     first = cameras[0]
     ready, files_used, world_from_gripper = first.read(names[0], source, None)
     robot, about_robot = robot_states(bag, contents, first.motion, first.images.stamps, world_from_gripper, options)
@@ -50,23 +58,43 @@ def read(source: Path, options: RosbagOptions) -> SourceRecording:
     for name, camera in zip(names, cameras, strict=True):
         prefix = "" if len(names) == 1 else f"{name}: "
         assumptions |= {prefix + key: text for key, text in camera.statements.items()}
-    assumptions["world"] = f"{first.motion.world}, the root of its tf tree unless --world names another"
+    how = "--world" if options.world else "what the poses are in" if options.pose_topic else "the root of its tf tree"
+    assumptions["world"] = f"{first.motion.world}, {how}"
     if robot is not None:
         assumptions["robot"] = about_robot
     used = dict.fromkeys((*files, *files_used, *(path for _, paths, _ in others for path in paths)))
     return SourceRecording((ready, *(camera for camera, _, _ in others)), robot, {}, assumptions, tuple(used))
 
 
-def _topics(bag: Bag, names: list[str], options: RosbagOptions) -> list[CameraTopics]:
-    """Topics of each camera's images; `UsageError` if two cameras have the same."""
-    color = by_camera("--color-topic", options.color_topic, names)
-    depth = by_camera("--depth-topic", options.depth_topic, names)
-    topics = [chosen_topics(bag, color.get(name, ""), depth.get(name, "")) for name in names]
+def _own_options(names: list[str], options: RosbagOptions) -> list[RosbagOptions]:
+    """The options of each camera."""
+    if len(names) == 1:
+        return [options]
+    values = {name: by_camera(f"--{name.replace('_', '-')}", getattr(options, name), names) for name in PER_CAMERA}
+    own = [
+        options.model_copy(update={option: found.get(name, "") for option, found in values.items()}) for name in names
+    ]
+    if options.pose_topic and not all(each.pose_frame for each in own):
+        fix = "pass --pose-frame NAME=FRAME;NAME=FRAME with the frame that the poses are of."
+        raise UsageError("--pose-frame", expected="a frame for each of several cameras", got="none", fix=fix)
+    return own
+
+
+def _check_distinct(names: list[str], topics: list[CameraTopics]) -> None:
+    """Refuse two cameras of the same images."""
     if len({camera.color.name for camera in topics}) < len(topics):
         got = ", ".join(camera.color.name for camera in topics)
         fix = f"pass --color-topic '{names[0]}=TOPIC;{names[1]}=TOPIC', and so for --depth-topic."
         raise UsageError("--color-topic", expected="a topic for each camera", got=got, fix=fix)
-    return topics
+
+
+def _check_world(bag: Bag, names: list[str], cameras: list[BagCamera]) -> None:
+    """Refuse cameras whose poses are in different worlds."""
+    worlds = [camera.motion.world for camera in cameras]
+    if len(set(worlds)) > 1:
+        got = ", ".join(f"{world} of {name}" for name, world in zip(names, worlds, strict=True))
+        fix = "record the transform between them, or read each camera by itself."
+        raise BadData(bag.paths[0], "tf", expected="all cameras in one tree", got=got, fix=fix)
 
 
 def episodes(source: Path, options: RosbagOptions) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,15 @@ from bask_data.formats.rosbag_motion import FrameMotion, camera_motion
 from bask_data.formats.rosbag_topics import CameraTopics, ImageTopic
 from bask_data.formats.tum import mutual_nearest
 
+BODY_FROM_OPTICAL = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""REP 103: a body's x is forward, y left and z up; a camera's optical frame has x right, y down and z forward."""
+
+AXES = {
+    "optical": "optical, as REP 103 has it: x right, y down, z forward",
+    "body": "a body's (--camera-axes): x forward, y left, z up",
+}
+"""Axes of the camera's frame in words, by the option's value."""
+
 SAME_EXTRINSICS = 1e-6
 """Difference of the entries of the transforms between colour and depth, metres, within which they are one."""
 
@@ -36,14 +45,13 @@ class BagCamera:
     """A camera of a bag.
 
     Args:
-        infos: topics of CameraInfo that options name for colour and depth, or empty.
+        options: those of this camera.
         statements: for the assumptions of a recording, once it was read.
     """
 
     bag: Bag
     contents: Contents
     topics: CameraTopics
-    infos: tuple[str, str]
     options: RosbagOptions
     statements: dict[str, str] = field(default_factory=dict)
 
@@ -73,14 +81,14 @@ class BagCamera:
             raise self._nothing(faults[0], stamps)
         lens, stated_size, about_lens, lens_files = self._lens(folder, stamps)
         depth_lens, color_from_depth, about_depth = self._depth(lens, stamps)
-        world_from_cameras, world_from_gripper, hand_eye = to_world_from_camera(poses.matrices, options, folder=folder)
-        time = self._time(stamps)
+        written = self._optical(poses.matrices, options.camera_axes)
+        world_from_cameras, world_from_gripper, hand_eye = to_world_from_camera(written, options, folder=folder)
         camera = SourceCamera(
             name=name,
             frames=tuple(f"{i:06d}" for i in range(len(stamps))),
             lens=lens,
             world_from_cameras=world_from_cameras,
-            time=time,
+            time=self._time(stamps),
             color=lambda i: self._color(int(color_of_frame[i])),
             depth=lambda i: self._depth_image(int(depth_of_frame[i])),
             depth_scale=options.depth_scale or depth.kind.depth_scale,
@@ -90,11 +98,11 @@ class BagCamera:
             expected=expected,
             pose_places=tuple(f"{self.bag.paths[0]}: pose of {color.name} {i:06d}" for i in range(len(stamps))),
             intrinsics_size=stated_size,
-            otherwise=other_readings(poses.matrices, options, folder=folder),
+            otherwise=other_readings(written, options, folder=folder) | self._of_other_frames(poses.matrices, stamps),
         )
         self.statements |= {
             "pose": self.motion.statement,
-            "camera axes": f"optical, as REP 103 has it: x right, y down, z forward of {self.motion.target}",
+            "camera axes": f"{AXES[options.camera_axes]} of {self.motion.target}",
             "depth": f"{depth.name}, {camera.depth_scale:g} m per unit, {about_depth}; the image nearest in time, at "
             f"most {limit:g} s away",
             "intrinsics": about_lens,
@@ -103,6 +111,26 @@ class BagCamera:
             + (f"; {self.images.n_moved} arrived late and were sorted" if self.images.n_moved else ""),
         }
         return camera, (*lens_files, *hand_eye), world_from_gripper
+
+    def _optical(self, world_from_frame: Float[ndarray, "t 4 4"], axes: str) -> Float[ndarray, "t 4 4"]:
+        """Poses with optical axes; those of a gripper stay as they are."""
+        is_gripper = self.motion.target != self.frame
+        return world_from_frame if axes == "optical" or is_gripper else world_from_frame @ BODY_FROM_OPTICAL
+
+    def _of_other_frames(
+        self, world_from_frame: Float[ndarray, "t 4 4"], stamps: list[int]
+    ) -> dict[str, Float[ndarray, "t 4 4"]]:
+        """Poses by options for other frames and axes, if the frame's name does not say that it is an optical one."""
+        options, tree, frame = self.options, self.motion.tree, self.motion.target
+        if "optical" in frame or frame != self.frame:
+            return {}
+        other = "optical" if options.camera_axes == "body" else "body"
+        readings = {f"--camera-axes {other}": self._optical(world_from_frame, other)}
+        if options.camera_frame or options.pose_topic:
+            return readings
+        near = [name for name in sorted(tree.frames) if "optical" in name and frame in tree.chain(name)]
+        found = {f"--camera-frame {name}": replace(self.motion, target=name).at(stamps).matrices for name in near[:4]}
+        return readings | found
 
     def _frames(self, partners: ImageStream | None) -> tuple[Int[ndarray, " t"], list[int]]:
         """Index of the colour image of each frame, -1 if it has none, and stamps."""
@@ -187,7 +215,13 @@ class BagCamera:
             lens = Lens(stated.K, size, stated.distortion)
             return lens, stated_size, f"{self.options.intrinsics}: {stated.statement}", stated.files
         found = stated_lens(
-            self.bag, self.contents, self.topics.color, size, stamps, "--camera-info-topic", self.infos[0]
+            self.bag,
+            self.contents,
+            self.topics.color,
+            size,
+            stamps,
+            "--camera-info-topic",
+            self.options.camera_info_topic,
         )
         return found.lens, self.options.intrinsics_size or found.stated_size, found.statement, ()
 
@@ -197,10 +231,12 @@ class BagCamera:
         size = self._depth_image(0).shape[:2]
         size = (int(size[0]), int(size[1]))
         is_aligned = topics.is_aligned and size == lens.size
-        wants_lens = not is_aligned or has_lens(self.contents, depth, self.infos[1])
+        wants_lens = not is_aligned or has_lens(self.contents, depth, self.options.depth_info_topic)
         if self.options.depth_intrinsics or not wants_lens:
             return None, self._extrinsics(stamps), "on colour's pixels" if is_aligned else "with --depth-intrinsics"
-        found = stated_lens(self.bag, self.contents, depth, size, stamps, "--depth-info-topic", self.infos[1])
+        found = stated_lens(
+            self.bag, self.contents, depth, size, stamps, "--depth-info-topic", self.options.depth_info_topic
+        )
         if is_aligned and same_camera(found.lens, lens):
             return None, None, "on colour's pixels"
         extrinsics = self._extrinsics(stamps)

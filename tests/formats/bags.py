@@ -155,12 +155,12 @@ def write_tf(bag: BagWriter, stamps: Iterable[int] = STAMPS, poses: Sequence[np.
         bag.write("/tf", stamp, bag.transforms((stamp, "base", "tool0", pose)))
 
 
-def write_images(bag: BagWriter, late: int = 3_000_000, depth_offset: int = 2_000_000) -> None:
+def write_images(bag: BagWriter, late: int = 3_000_000, depth_offset: int = 2_000_000, frame: str = OPTICAL) -> None:
     """Colour, depth and calibration as a RealSense publishes them, which arrive late."""
     for i, stamp in enumerate(STAMPS):
-        bag.write(INFO_TOPIC, stamp + late, bag.info(stamp))
-        bag.write(COLOR_TOPIC, stamp + late, bag.image(stamp, OPTICAL, "rgb8", COLOR[i]))
-        depth = bag.image(stamp + depth_offset, OPTICAL, "16UC1", DEPTH[i])
+        bag.write(INFO_TOPIC, stamp + late, bag.info(stamp, frame))
+        bag.write(COLOR_TOPIC, stamp + late, bag.image(stamp, frame, "rgb8", COLOR[i]))
+        depth = bag.image(stamp + depth_offset, frame, "16UC1", DEPTH[i])
         bag.write(DEPTH_TOPIC, stamp + late, depth)
 
 

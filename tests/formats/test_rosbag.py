@@ -162,6 +162,7 @@ def test_depth_of_another_camera_has_its_own_calibration_and_pose(tmp_path: Path
 def test_several_cameras_are_listed_and_chosen_by_their_topics(tmp_path: Path) -> None:
     bag = BagWriter(tmp_path / "scan", "mcap")
     write_tf(bag)
+    bag.write("/tf_static", START, bag.transforms((0, "elsewhere", "elsewhere_optical", TOOL_FROM_CAMERA)))
     for name in ("wrist", "overhead"):
         frame = f"{name}_optical"
         bag.write(
@@ -188,6 +189,10 @@ def test_several_cameras_are_listed_and_chosen_by_their_topics(tmp_path: Path) -
     assert [camera.n_frames for camera in both.cameras] == [3, 3]
     assert np.abs(both.cameras[1].world_from_cameras - TOOL_FROM_CAMERA).max() < 1e-12
     assert np.array_equal(both.cameras[1].read(2)[0], COLOR[3])
+    with pytest.raises(UsageError, match="--pose-frame: expected a frame for each of several cameras"):
+        read(path, camera="wrist,overhead", pose_topic="/pose", **topics)
+    with pytest.raises(BadData, match="expected all cameras in one tree, got base of wrist, elsewhere of overhead"):
+        read(path, camera="wrist,overhead", camera_frame="overhead=elsewhere_optical", **topics)
     with pytest.raises(UsageError, match="expected a topic for each camera"):
         read(path, camera="wrist,overhead", color_topic="wrist=/wrist/color/image_raw;overhead=/wrist/color/image_raw")
 

@@ -210,3 +210,21 @@ def test_a_bag_without_transforms_names_its_topics_of_poses(tmp_path: Path) -> N
         recording_of(tmp_path / "none", lambda bag: None)
     with pytest.raises(BadData, match="got no transforms, but poses in /pose.*pass --pose-topic /pose"):
         recording_of(tmp_path / "poses", lambda bag: poses_on(bag, "PoseStamped", WORLD_FROM_TOOLS))
+
+
+def test_a_frame_with_the_axes_of_a_body_is_turned(tmp_path: Path) -> None:
+    # x right, y down, z forward of the camera are -y, -z, x of the body.
+    body_from_optical = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    read = recording_of(tmp_path / "scan", write_tf, camera_frame="camera_link", camera_axes="body")
+    plain = recording_of(tmp_path / "plain", write_tf, camera_frame="camera_link")
+    assert np.abs(poses_of(read) - poses_of(plain) @ body_from_optical).max() < 1e-12
+    assert np.array_equal(plain.cameras[0].otherwise["--camera-axes body"], poses_of(read))
+    assert not any("--camera-" in name for name in recording_of(tmp_path / "optical", write_tf).cameras[0].otherwise)
+
+
+def test_images_in_a_frame_that_is_not_optical_are_tried_in_those_below(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "scan", "mcap")
+    write_tf(bag)
+    write_images(bag, frame="camera_link")
+    [camera] = rosbag.read(bag.close(), RosbagOptions()).cameras
+    assert np.abs(camera.otherwise[f"--camera-frame {OPTICAL}"] - WORLD_FROM_CAMERAS).max() < 1e-12

@@ -16,8 +16,8 @@ class RosbagOptions(PoseOptions, EpisodeOptions):
     camera: str = Field(
         "camera",
         pattern=NAMES,
-        description="Name of the camera in the dataset, or of several: wrist,overhead. Topics of several are given as "
-        "NAME=TOPIC;NAME=TOPIC, or with {camera} for the name.",
+        description="Name of the camera in the dataset, or of several: wrist,overhead. Topics, frames and "
+        "calibrations of several are given as NAME=VALUE;NAME=VALUE, or with {camera} for the name.",
     )
     color_topic: str = Field(
         "",
@@ -42,6 +42,9 @@ class RosbagOptions(PoseOptions, EpisodeOptions):
     world: str = Field("", description="World frame of tf; by default the root of the tree that holds the camera.")
     camera_frame: str = Field(
         "", description="Optical frame of the camera in tf; by default the frame_id of the colour images."
+    )
+    camera_axes: Literal["optical", "body"] = Field(
+        "optical", description="Axes of that frame: z forward (optical), or x forward and z up (body)."
     )
     ignore_tf: str = Field("", description="Transforms of tf to ignore: PARENT:CHILD,PARENT:CHILD.")
     pose_topic: str = Field(
