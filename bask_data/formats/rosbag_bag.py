@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cache
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -81,7 +81,8 @@ class Bag:
         """A message, as `rosbags` knows its type. Definitions inside the bag are not used: those of ROS are known."""
         name = self.topics[topic].type
         with _reading(self.paths[0], f"{topic} ({name})"):
-            decode = self._types.deserialize_ros1 if self.is_ros1 else self._types.deserialize_cdr
+            types = _types(self.is_ros1)
+            decode = types.deserialize_ros1 if self.is_ros1 else types.deserialize_cdr
             return decode(memoryview(raw), SAME_TYPES.get(name, name))
 
     def head(self, topic: str, raw: bytes) -> tuple[int, str]:
@@ -97,14 +98,15 @@ class Bag:
                 raise ValueError(f"frame_id of {size} bytes")
             return seconds * 10**9 + nanoseconds, frame_name(raw[16 : 16 + size].decode())
 
-    @cached_property
-    def _types(self) -> Any:
-        typesys = imported("rosbags.typesys", "rosbags", user="ingest rosbag", extra="formats")
-        # The messages that are read here have had the same layout in all releases of ROS 2.
-        types = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if self.is_ros1 else typesys.Stores.ROS2_HUMBLE)
-        if TRANSFORMS not in types.types:
-            types.register(typesys.get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
-        return types
+
+@cache
+def _types(is_ros1: bool) -> Any:
+    """The message types of ROS. Those that are read here have had the same layout in all releases of ROS 2."""
+    typesys = imported("rosbags.typesys", "rosbags", user="ingest rosbag", extra="formats")
+    types = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if is_ros1 else typesys.Stores.ROS2_HUMBLE)
+    if TRANSFORMS not in types.types:
+        types.register(typesys.get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
+    return types
 
 
 def frame_name(text: str) -> str:

@@ -135,13 +135,16 @@ def decompressed(path: Path, data: bytes, compression: str) -> bytes:
     return found
 
 
-def damaged(path: Path | str, what: str, error: object) -> BadData:
+def damaged(path: Path, what: str, error: object) -> BadData:
     """The error for content that is not as the format has it."""
     got = f"{type(error).__name__}: {error}" if isinstance(error, Exception) else str(error)
-    return BadData(
-        path, what, expected="a readable one", got=got[:200], fix="copy the bag again; `rosbag reindex` or "
-        "`ros2 bag reindex` and `mcap recover` mend recordings that were cut off."
-    )  # fmt: skip
+    remedy = {
+        ".bag": f"`rosbag reindex {path.name}` mends",
+        ".mcap": f"`mcap recover {path.name} -o mended.mcap` mends",
+        ".db3": "`ros2 bag reindex` mends",
+    }.get(path.suffix.lower(), "`ros2 bag reindex` mends")
+    fix = f"copy the bag again; {remedy} recordings that were cut off."
+    return BadData(path, what, expected="a readable one", got=got[:200], fix=fix)
 
 
 def counted(read: Read, offset: int, what: str, limit: int = MAX_IMAGE_BYTES) -> tuple[int, int]:

@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bask_data.errors import BadData, UsageError
-from bask_data.formats import FORMATS, rosbag
+from bask_data.errors import BadData, MissingDependency, UsageError
+from bask_data.formats import FORMATS, rosbag, rosbag_files
 from bask_data.formats.options.rosbag import RosbagOptions
 from bask_data.formats.recording import CameraRecording, PreparedRecording
 from tests.formats.bags import (
@@ -349,3 +350,31 @@ def test_worlds_that_are_not_there_are_refused(tmp_path: Path) -> None:
     # In the tool's own frame the camera stands still.
     still = camera_of(path, world="tool0", trust=True)
     assert np.abs(still.world_from_cameras - TOOL_FROM_CAMERA).max() < 1e-12
+
+
+def test_chunks_of_bz2_are_decompressed_once_unless_there_is_no_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_recording(tmp_path / "scan", "bag-bz2")
+    unpacked: list[str] = []
+    decompress = rosbag_files.decompressed
+
+    def counted(path: Path, data: bytes, compression: str) -> bytes:
+        unpacked.append(compression)
+        return decompress(path, data, compression)
+
+    monkeypatch.setattr(rosbag_files, "decompressed", counted)
+    monkeypatch.setattr(rosbag_files, "N_CHUNKS_KEPT", 0)
+    for folder, n_times in ((str(tmp_path), 1), ("/proc", None)):
+        monkeypatch.setattr("bask_data.formats.rosbag_spool.SPOOL_FOLDER", folder)
+        unpacked.clear()
+        [camera] = rosbag.read(path, RosbagOptions()).cameras
+        assert [np.array_equal(camera.color(i), COLOR[i]) for i in range(4)] == [True] * 4
+        assert len(unpacked) == n_times if n_times else len(unpacked) > 4
+
+
+def test_a_missing_library_is_named_with_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_recording(tmp_path / "scan")
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    with pytest.raises(MissingDependency, match=r"pip install 'bask-data\[formats\]'"):
+        read(path)
