@@ -6,7 +6,9 @@ Whatever is done or lost is stated in the assumptions of the result.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -146,11 +148,16 @@ def _camera(
         depth_scale=frames.depth_scale,
         world_from_cameras=_moved(poses, origin),
         time=time,
-        read=lambda k: (images[0](k), images[1](k)),
+        read=partial(_both, *images),
         read_depth=images[1],
         labels=frames.read_labels if camera.labels else None,
         distortion=frames.distortion,
     )
+
+
+def _both(color: KeptFrames, depth: KeptFrames, k: int) -> tuple[Any, Any]:
+    """Colour and depth of the k-th frame; no lambda, so that a camera can be sent to another process."""
+    return color(k), depth(k)
 
 
 def _counts(prefix: str, camera: SourceCamera, chosen: list[int], kept: list[int], bad: list[Bad]) -> dict[str, str]:
