@@ -61,7 +61,7 @@ class Bag:
         """One pass over the messages of topics, in the order of the files.
 
         Args:
-            whole: the topics; whether all of a message is needed, or only its header.
+            whole: the topics; whether all of a message is needed, or only its header. May be changed on the way.
         """
         for i, part in enumerate(self._parts):
             with _reading(self.paths[i], "messages"):

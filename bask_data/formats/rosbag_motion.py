@@ -33,6 +33,17 @@ GRIPPER_FRAMES = (
 """Names of grippers' frames in usual robot descriptions, the first that is there is taken: Universal Robots, Franka,
 Kinova, Fetch, xArm."""
 
+REALSENSE_VIEWER = "/device_"
+"""How topics begin that librealsense records, also from RealSense Viewer."""
+
+NO_TF = (
+    "record /tf and /tf_static, too, or a topic of poses; or export colour and depth images, whose poses "
+    "`bask-data ingest colmap` finds."
+)
+"""What to do about a bag without any poses."""
+
+NO_POSES = "a recording of RealSense Viewer, which holds no poses"
+
 
 @dataclass(frozen=True)
 class FrameMotion:
@@ -92,8 +103,9 @@ def _check_frame(bag: Bag, tree: FrameTree, frame: str) -> None:
         return
     topics = bag.of_type(*POSE_TYPES)
     if not tree.frames:
-        fix = f"pass --pose-topic {topics[0]}." if topics else "record /tf and /tf_static, too, or a topic of poses."
-        got = "no transforms" + (f", but poses in {listed(topics)}" if topics else "")
+        fix = f"pass --pose-topic {topics[0]}." if topics else NO_TF
+        got = NO_POSES if any(name.startswith(REALSENSE_VIEWER) for name in bag.topics) else "no transforms"
+        got += f", but poses in {listed(topics)}" if topics else ""
     else:
         fix = "pass --camera-frame with one of them, or --gripper-frame with --gripper-from-camera FILE."
         got = f"frames {listed(sorted(tree.frames), 20)}"

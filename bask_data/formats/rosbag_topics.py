@@ -74,11 +74,12 @@ class CameraTopics:
 
 def image_topics(bag: Bag, names: Sequence[str]) -> dict[str, ImageTopic]:
     """Topics of images by their first messages."""
-    missing, found = set(names), {}
-    for message in bag.scan(dict.fromkeys(names, True)):
-        if message.topic not in missing:
+    found = {}
+    missing = dict.fromkeys(names, True)
+    for message in bag.scan(missing):
+        if not missing[message.topic]:
             continue
-        missing.discard(message.topic)
+        missing[message.topic] = False  # From here on, the pass reads only heads of this topic.
         decoded = bag.decoded(message.topic, message.raw)
         kind = image_kind(message.topic, decoded)
         found[message.topic] = ImageTopic(
@@ -88,7 +89,7 @@ def image_topics(bag: Bag, names: Sequence[str]) -> dict[str, ImageTopic]:
             _size(decoded, kind),
             bag.topics[message.topic].n_messages,
         )
-        if not missing:
+        if not any(missing.values()):
             break
     return found
 

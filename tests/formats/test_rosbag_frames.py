@@ -12,6 +12,8 @@ from bask_data.formats import rosbag
 from bask_data.formats.options.rosbag import RosbagOptions
 from bask_data.formats.recording import SourceRecording
 from tests.formats.bags import (
+    COLOR,
+    DEPTH,
     OPTICAL,
     STAMPS,
     START,
@@ -228,3 +230,11 @@ def test_images_in_a_frame_that_is_not_optical_are_tried_in_those_below(tmp_path
     write_images(bag, frame="camera_link")
     [camera] = rosbag.read(bag.close(), RosbagOptions()).cameras
     assert np.abs(camera.otherwise[f"--camera-frame {OPTICAL}"] - WORLD_FROM_CAMERAS).max() < 1e-12
+
+
+def test_a_recording_of_realsense_viewer_is_named(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "scan", "bag-lz4")
+    for name, encoding, pixels in (("Depth_0", "mono16", DEPTH[0]), ("Color_0", "rgb8", COLOR[0])):
+        bag.write(f"/device_0/sensor_0/{name}/image/data", START, bag.image(START, "0", encoding, pixels))
+    with pytest.raises(BadData, match="got a recording of RealSense Viewer, which holds no poses.*ingest colmap"):
+        rosbag.read(bag.close(), RosbagOptions())
