@@ -38,9 +38,11 @@ class BagWriter:
 
     Args:
         path: without suffix.
+        little_endian: how ROS 2 writes numbers.
     """
 
-    def __init__(self, path: Path, kind: str) -> None:
+    def __init__(self, path: Path, kind: str, little_endian: bool = True) -> None:
+        self.little_endian = little_endian
         storage, _, compression = kind.partition("-")
         self.is_ros1 = storage == "bag"
         self.types = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.ROS2_HUMBLE)
@@ -138,8 +140,11 @@ class BagWriter:
         type = message.__msgtype__
         if topic not in self._connections:
             self._connections[topic] = self.writer.add_connection(topic, type, typestore=self.types)
-        serialize = self.types.serialize_ros1 if self.is_ros1 else self.types.serialize_cdr
-        self.writer.write(self._connections[topic], arrival, serialize(message, type))
+        if self.is_ros1:
+            data = self.types.serialize_ros1(message, type)
+        else:
+            data = self.types.serialize_cdr(message, type, little_endian=self.little_endian)
+        self.writer.write(self._connections[topic], arrival, data)
 
     def close(self) -> Path:
         self.writer.close()

@@ -66,6 +66,27 @@ def test_a_storage_file_is_read_without_its_folder(tmp_path: Path) -> None:
     assert [path.name for path in read(folder).files] == ["metadata.yaml", "scan.mcap"]
 
 
+def test_a_file_without_an_index_is_read_from_its_data(tmp_path: Path) -> None:
+    for kind in ("mcap", "mcap-zstd"):
+        file = write_recording(tmp_path / kind, kind) / f"{kind}.mcap"
+        content = bytearray(file.read_bytes())
+        content[-28:-20] = bytes(8)  # Where the summary begins: nowhere.
+        file.write_bytes(content)
+        camera = camera_of(file)
+        assert np.abs(camera.world_from_cameras - WORLD_FROM_CAMERAS).max() < 1e-12
+        assert np.array_equal(camera.read(3)[1], DEPTH[3])
+
+
+def test_messages_may_be_in_big_endian(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "scan", "mcap", little_endian=False)
+    write_tf(bag)
+    write_images(bag)
+    camera = camera_of(bag.close())
+    assert np.abs(camera.time - np.array(STAMPS) / 1e9).max() < 1e-6
+    assert np.abs(camera.world_from_cameras - WORLD_FROM_CAMERAS).max() < 1e-12
+    assert np.array_equal(camera.read(2)[0], COLOR[2])
+
+
 def test_poses_are_interpolated_between_transforms_and_never_beyond_them(tmp_path: Path) -> None:
     bag = BagWriter(tmp_path / "scan", "db3")
     poses = np.tile(np.eye(4), (3, 1, 1))
