@@ -13,8 +13,8 @@ from bask_data.core.depth import SIGMA_FROM_MAD
 from bask_data.core.geometry import in_image
 
 EDGE_RADIUS = 2
-"""Pixels around a point whose depth must be that of one plane: colour and depth of RGB-D cameras lie up to 3 pixels apart,
-and features are found at edges. Sensitivity not measured."""
+"""Pixels around a point whose depth must be that of one plane: colour and depth of RGB-D cameras lie up to 3 pixels
+apart, and features are found at edges. Sensitivity not measured."""
 
 EDGE_STEP = 0.02
 """Largest difference of the sum of least and largest depth around a point from twice their median, as a share of it. At

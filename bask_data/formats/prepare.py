@@ -42,8 +42,16 @@ its masks than the unmoved one with a step of 10 m, 5 pixels of a million with 1
 least."""
 
 
-def prepared(source: Path, recording: SourceRecording, options: SourceOptions) -> PreparedRecording:
+def prepared(
+    source: Path,
+    recording: SourceRecording,
+    options: SourceOptions,
+    home: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> PreparedRecording:
     """The recording as it is to be written; see `SourceOptions`.
+
+    Args:
+        home: origin of the recordings that are there already; one nearby takes it, too.
 
     Raises:
         BadData: frames cannot be used, and `options.skip_bad` is not set; or no two parts fit together.
@@ -59,7 +67,7 @@ def prepared(source: Path, recording: SourceRecording, options: SourceOptions) -
     if refused and not options.skip_bad:
         refuse(source, refused)
     kept = _kept(source, recording, chosen, bad)
-    origin = _origin(recording, kept) if options.local_origin else np.zeros(3)
+    origin = _origin(recording, kept, np.array(home)) if options.local_origin else np.zeros(3)
     cameras, agreements, assumptions = [], {}, dict(recording.assumptions)
     for camera in recording.cameras:
         frames = aligned(source, camera, kept[camera.name], options)
@@ -178,11 +186,14 @@ def _counts(prefix: str, camera: SourceCamera, chosen: list[int], kept: list[int
     return counts
 
 
-def _origin(recording: SourceRecording, kept: dict[str, list[int]]) -> Float[ndarray, "3"]:
+def _origin(recording: SourceRecording, kept: dict[str, list[int]], home: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
     """The point of the source's world that becomes 0, metres: 0 unless the cameras are far from it."""
     centres = np.concatenate([camera.world_from_cameras[kept[camera.name], :3, 3] for camera in recording.cameras])
     middle = np.median(centres, axis=0)
-    return np.round(middle / ORIGIN_STEP) * ORIGIN_STEP if np.abs(middle).max() > FAR_ORIGIN else np.zeros(3)
+    if np.abs(middle).max() <= FAR_ORIGIN:
+        return np.zeros(3)
+    is_near_home = home.any() and np.abs(middle - home).max() <= FAR_ORIGIN
+    return home if is_near_home else np.round(middle / ORIGIN_STEP) * ORIGIN_STEP
 
 
 def _moved(world_from_any: Float[ndarray, "t 4 4"], origin: Float[ndarray, "3"]) -> Float[ndarray, "t 4 4"]:

@@ -66,10 +66,21 @@ def ingest(
         if item not in dataset.items(makes.scope):
             _enter(dataset, item, format, source, options, makes, opened.has_labels)
         return [up_to_date(root, makes, item)], {}
-    read = prepared(source, opened, options)
+    read = prepared(source, opened, options, _home(dataset))
     with undone_if_new(root):
         dataset = dataset or Dataset.open_or_create(root)
         return _write(dataset, item, format, source, options, makes, read, key), read.assumptions
+
+
+def _home(dataset: Dataset | None) -> tuple[float, float, float]:
+    """Origin of the dataset's recordings, metres: its first scan's or demonstration's that is not 0."""
+    if dataset is None:
+        return (0.0, 0.0, 0.0)
+    for makes in (Scan, Demonstration):
+        for item in dataset.items(makes.scope)[:1]:
+            if (path := dataset.path(makes, item)).exists() and any(origin := makes(path).metadata.origin):
+                return (origin[0], origin[1], origin[2])
+    return (0.0, 0.0, 0.0)
 
 
 def _write(

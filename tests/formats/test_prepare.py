@@ -151,6 +151,9 @@ def test_a_world_far_away_gets_an_origin_nearby_for_cameras_robot_and_objects_al
     assert np.allclose(result.robot.world_from_gripper, moved, atol=1e-9)
     assert np.allclose(result.object_poses[7].world_from_object, moved[0], atol=1e-9)
     assert prepared(Path(), recording, SourceOptions(local_origin=False)).origin == (0, 0, 0)
+    home = (441000.0, 5122000.0, 0.0)
+    assert prepared(Path(), recording, SourceOptions(), home).origin == home
+    assert prepared(Path(), recording, SourceOptions(), (4e5, 5e6, 0.0)).origin == result.origin
     assert prepare(camera).origin == (0, 0, 0)
 
 

@@ -166,3 +166,18 @@ def test_labels_become_an_artifact_of_ground_truth(tmp_path: Path) -> None:
     assert set(np.unique(truth.instance("wrist", 0))) == {0, 48, 114, 132, 144}
     assert Scan(tmp_path / "d" / "scan" / "shelf").camera("wrist").n_frames == 15
     assert validate(Dataset(tmp_path / "d")) == []
+
+
+def test_recordings_of_one_place_far_away_share_an_origin(source: Path, tmp_path: Path) -> None:
+    origins = []
+    for k, item in enumerate(("first", "second")):
+        for i in range(3):
+            pose = np.eye(4)
+            pose[:3, 3] = (4e5 + 0.1 * i + 40 * k, 5e6, 0.0)
+            np.savetxt(source / f"frame-{i:06d}.pose.txt", pose, fmt="%.6f")
+        options = FORMAT["frames"].options(intrinsics="5,5,2.5,1.5", camera="wrist")
+        ingest(tmp_path / "d", item, format=FORMAT["frames"], source=source, options=options)
+        scan = Scan(tmp_path / "d" / "scan" / item)
+        origins.append(scan.metadata.origin)
+        assert scan.camera("wrist").world_from_cameras[2, 0, 3] == pytest.approx(0.2 + 40 * k - (origins[0][0] - 4e5))
+    assert origins[0] == origins[1] != (0, 0, 0)
