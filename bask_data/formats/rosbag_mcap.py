@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from bask_data.errors import imported
 from bask_data.formats.files import MAX_IMAGE_BYTES
@@ -15,13 +16,30 @@ class McapPart:
     """An MCAP file of ROS 2."""
 
     def __init__(self, path: Path) -> None:
-        reader = imported("rosbags.rosbag2", "rosbags", user="ingest rosbag", extra="formats").Reader(path)
-        reader.open()
         self._chunks = Chunks(path)
-        self._span = (reader.storage.data_start, reader.storage.data_end)
+        reader = self._bounded(
+            imported("rosbags.rosbag2.storage_mcap", "rosbags", user="ingest rosbag", extra="formats")
+        )
+        reader.open()
+        self._span = (reader.data_start, reader.data_end)
         self._topic = {connection.id: connection.topic for connection in reader.connections}
         self.topics = tuple(Topic(c.topic, c.msgtype, c.msgcount) for c in reader.connections)
         reader.close()
+
+    def _bounded(self, storage: Any) -> Any:
+        """The reader of `rosbags`, which decompresses all chunks of a file without an index: only after they were
+        found to be small enough."""
+        part = self
+
+        class BoundedReader(storage.McapReader):
+            """See above."""
+
+            def meta_scan(self) -> None:
+                for _ in part._walk(part._chunks.read, self.data_start, self.data_end, -1, 0, {}, {}):
+                    pass
+                super().meta_scan()
+
+        return BoundedReader(self._chunks.path)
 
     def scan(self, whole: dict[str, bool]) -> Iterator[tuple[str, tuple[int, int, int], bytes]]:
         """See `Part`."""

@@ -66,7 +66,7 @@ def _ros2_folder(folder: Folder) -> tuple[Bag, tuple[Path, ...]]:
     about = folder.member("metadata.yaml", "SOURCE")
     try:
         document = yaml.safe_load(read_bytes(about, MAX_TEXT_BYTES))
-        listed = [PurePath(str(name)).name for name in document["rosbag2_bagfile_information"]["relative_file_paths"]]
+        listed = [PurePath(name).name for name in document["rosbag2_bagfile_information"]["relative_file_paths"]]
     except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
         got = f"{type(error).__name__}: {error}"[:200]
         fix = "pass the .mcap or .db3 file itself."

@@ -318,6 +318,19 @@ def test_chunks_that_decompress_without_end_are_refused(tmp_path: Path, monkeypa
             read(write_recording(tmp_path / kind, kind))
 
 
+def test_chunks_of_a_file_without_an_index_are_bounded_before_its_topics_are_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = write_recording(tmp_path / "scan", "mcap-zstd") / "scan.mcap"
+    content = bytearray(file.read_bytes())
+    content[-28:-20] = bytes(8)
+    file.write_bytes(content)
+    monkeypatch.setattr("bask_data.formats.rosbag_files.MAX_IMAGE_BYTES", 1000)
+    monkeypatch.setattr("rosbags.rosbag2.storage_mcap.decompress", None)
+    with pytest.raises(BadData, match="expected at most 1000 bytes, got more, decompressed"):
+        read(file)
+
+
 def test_metadata_may_not_name_files_elsewhere(tmp_path: Path) -> None:
     path = write_recording(tmp_path / "scan")
     shutil.move(path / "scan.mcap", tmp_path / "scan.mcap")
@@ -329,6 +342,9 @@ def test_metadata_may_not_name_files_elsewhere(tmp_path: Path) -> None:
     with pytest.raises(BadData, match="got a link out of it"):
         read(path)
     assert camera_of(path, follow_links=True).n_frames == 4
+    about.write_text("rosbag2_bagfile_information: {relative_file_paths: [[scan.mcap]]}")
+    with pytest.raises(BadData, match=r"relative_file_paths: expected the names of files"):
+        read(path)
     about.write_text("rosbag2_bagfile_information: 3")
     with pytest.raises(BadData, match=r"relative_file_paths: expected the names of files"):
         read(path)
