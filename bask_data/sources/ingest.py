@@ -6,6 +6,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -58,6 +59,9 @@ def ingest(
     dataset, root = (into, into.root) if isinstance(into, Dataset) else (Dataset.open_if_any(into), into)
     refuse_other_scope(dataset, makes, item, "choose another --scene.")
     opened = format.opened(source, options)
+    if makes is Scan:
+        # Otherwise a frame that one camera lacks would be lost for all, as they share the robot's states.
+        opened = replace(opened, robot=None)
     key = _key(makes, format, options, source, opened)
     fix = "choose another --scene, or pass --force."
     if not force and is_current(root, makes, item, key, fix, opened.has_labels):
