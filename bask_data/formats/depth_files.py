@@ -54,8 +54,9 @@ def read_any_depth(path: Path) -> Depth:
 def _measured(values: ndarray) -> Float32[ndarray, "h w"]:
     """Floating-point depth without NaN, infinite and negative values, and what is beyond every sensor."""
     with np.errstate(over="ignore"):
-        metres = np.asarray(values, dtype=np.float32)
-    return np.where((metres > 0) & (metres < np.float32(NOTHING_BEYOND)), metres, np.float32(0))
+        metres = np.array(values, dtype=np.float32)
+    metres[~((metres > 0) & (metres < np.float32(NOTHING_BEYOND)))] = 0
+    return metres
 
 
 def _of_array(path: Path, array: ndarray) -> Depth:
@@ -65,7 +66,7 @@ def _of_array(path: Path, array: ndarray) -> Depth:
     if image.ndim != 2 or not image.size:
         raise _not_one_channel(path, f"an array {array.shape}")
     if image.dtype.kind == "f":
-        return _measured(np.array(image))
+        return _measured(image)
     least, most = int(image.min()), int(image.max())
     if least < 0 or most > LARGEST:
         raise BadData(

@@ -36,7 +36,8 @@ class DepthFiles:
         path = self.files[i]
         assert path is not None  # Frames without are among the faults, and never read.
         depth = read_any_depth(path)
-        measured = depth[depth > 0] if depth.dtype == np.float32 else np.empty(0)
+        # Every fourth pixel: the median of all would take half as long as reading the file.
+        measured = sampled[sampled > 0] if (sampled := depth[::4, ::4]).dtype == np.float32 else np.empty(0)
         if measured.size and (median := float(np.median(measured)) * self.scale) < LEAST_MEDIAN:
             raise BadData(
                 path,
