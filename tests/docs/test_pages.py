@@ -10,6 +10,7 @@ from types import ModuleType
 import pytest
 import yaml
 
+from bask_data.formats import FORMATS
 from tests.scripts import REPOSITORY, script
 
 
@@ -86,3 +87,9 @@ def test_a_link_that_leads_nowhere_fails_the_build(tmp_path: Path, link: str, co
     answer = subprocess.run(mkdocs, cwd=tmp_path, capture_output=True, text=True)
     assert (answer.returncode == 0) == (not complaint), answer.stderr
     assert complaint in answer.stderr
+
+
+def test_the_page_on_formats_lists_every_format() -> None:
+    page = (REPOSITORY / "docs" / "formats.md").read_text(encoding="utf-8")
+    listed = re.findall(r"\| `ingest (\w+)` \|", page)
+    assert sorted(listed) == sorted(["sim", *(format.name for format in FORMATS)])
