@@ -6,10 +6,10 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from bask_data.core.lens import Distortion
@@ -30,6 +30,9 @@ DISTORTIONS = ("distortion_coefficients", "dist_coeffs", "dist_coefs", "distorti
 
 SIZES = (("width", "height"), ("image_width", "image_height"), ("w", "h"))
 """Names of the images' size."""
+
+MOST_VALUES = 100
+"""Numbers of a matrix or a lens that are looked at: YAML may name a list many times over, in lists of such lists."""
 
 MODELS = ("distortion_model", "camera_model", "model")
 """Names of the lens model's name."""
@@ -113,15 +116,28 @@ def _numbers(value: Any) -> list[float] | None:
     """The numbers of a list, nested or not, or of OpenCV's matrix."""
     if isinstance(value, dict):
         value = value.get("data")
+    if not isinstance(value, list):
+        return None
+    flat = list(islice(_flat(value), MOST_VALUES + 1))
     try:
-        array = np.array(value, dtype=np.float64) if isinstance(value, list) else None
+        # YAML reads 1e-05, without a point, as a text.
+        return [float(number) for number in flat] if len(flat) <= MOST_VALUES else None
     except (ValueError, TypeError, OverflowError):
         return None
-    return None if array is None else [float(number) for number in array.ravel()]
+
+
+def _flat(values: list[Any], depth: int = 0) -> Iterator[Any]:
+    """The items of a list and of the lists in it, not deeper than real files are nested."""
+    for value in values:
+        if isinstance(value, list) and value and depth < 3:
+            yield from _flat(value, depth + 1)
+        else:
+            yield value
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    """Whether a value is a number that floating point holds, maybe not a finite one."""
+    return isinstance(value, float) or (isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63)
 
 
 def _distortion(path: Path, fields: dict[str, Any]) -> Distortion | None:

@@ -14,6 +14,9 @@ from typing import Protocol, runtime_checkable
 from bask_data.errors import BadData, UsageError
 from bask_data.formats.files import MAX_IMAGE_BYTES, Folder, natural, read_bytes, source_file
 
+PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""Ways of packing that are read: of all others, `zipfile` unpacks the whole before it looks at a limit."""
+
 UNREADABLE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -110,6 +113,10 @@ class ZipMembers:
     def read(self, name: str, limit: int = MAX_IMAGE_BYTES) -> bytes:
         """See `Members`."""
         try:
+            packing = self._zip.getinfo(self.inside + name).compress_type
+            if packing not in PACKED:
+                got, fix = f"method {packing}", "unpack it, and pass the folder."
+                raise BadData(self.place(name), "packing", expected="deflate, or none", got=got, fix=fix)
             with self._zip.open(self.inside + name) as file:
                 # The size that the zip file states need not be that of the content.
                 data = file.read(limit + 1)

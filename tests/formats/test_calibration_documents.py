@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -17,6 +18,11 @@ from bask_data.formats.intrinsics import CameraIntrinsics, parse_intrinsics, rea
 K = np.array([[600.0, 0, 320], [0, 601, 240], [0, 0, 1]])
 D = [-0.28, 0.09, 0.001, -0.002, 0.01]
 FOUR = {"fx": 600, "fy": 601, "cx": 320, "cy": 240}
+LISTS_OF_LISTS = "".join(
+    f"{name}: &{name} [{', '.join(['1'] * 9 if last == '-' else [f'*{last}'] * 9)}]\n"
+    for last, name in pairwise("-abcdefghijk")
+)
+"""YAML of half a kilobyte whose last list, k, stands for 9^11 numbers."""
 ROS = {
     "image_width": 640,
     "image_height": 480,
@@ -89,6 +95,8 @@ def test_a_camera_info_of_ros_has_its_lens_and_size(tmp_path: Path) -> None:
         ({**ROS, "camera_matrix": [[1, 2, 3]] * 3}, "expected a pinhole matrix"),
         ({**ROS, "camera_matrix": [[1, 2], [3, 4]]}, "expected those of one camera.* got none"),
         ("!!python/object/apply:os.system ['true']", "expected JSON or YAML"),
+        (LISTS_OF_LISTS, "expected those of one camera.* got none"),
+        ({**FOUR, "fx": 10**400}, "expected those of one camera.* got none"),
     ],
 )
 def test_what_is_no_calibration_of_one_camera_is_refused(tmp_path: Path, content: object, message: str) -> None:

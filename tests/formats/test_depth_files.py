@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import struct
 import sys
+import tracemalloc
 from pathlib import Path
 
 import cv2
@@ -10,6 +12,7 @@ import pytest
 
 from bask_data.errors import BadData, MissingDependency
 from bask_data.formats.depth_files import read_any_depth
+from bask_data.formats.tiff import tiff_header
 from tests.formats.folders import HEIGHT, WIDTH, images, rigid, write_frames
 from tests.formats.test_frames import read
 
@@ -80,6 +83,24 @@ BROKEN = {
     "whole.exr": "expected one channel, of 16 bits or in floating point, got .* of uint32",
     "three.tiff": "expected one channel, of 16 bits or in floating point, got 3 of 32 bits",
 }
+
+
+def test_entries_of_a_tiff_that_nobody_asks_for_are_not_read(tmp_path: Path) -> None:
+    file = write(tmp_path / "a.tiff", METRES)
+    data = bytearray(file.read_bytes())
+    begin = int.from_bytes(data[4:8], "little")
+    n = int.from_bytes(data[begin : begin + 2], "little")
+    entries = data[begin + 2 : begin + 2 + 12 * n]
+    # More entries, each with as many bytes as the file has.
+    many = b"".join(struct.pack("<HHII", 40_000 + i, 1, 10**4, 8) for i in range(900))
+    data[4:8] = struct.pack("<I", len(data))
+    data += struct.pack("<H", n + 900) + entries + many + bytes(4)
+    file.write_bytes(data + bytes(10**4))
+    content = file.read_bytes()
+    tracemalloc.start()
+    assert tiff_header(file, content).width == METRES.shape[1]
+    assert tracemalloc.get_traced_memory()[1] < 10**6
+    tracemalloc.stop()
 
 
 @pytest.mark.parametrize("name", BROKEN)

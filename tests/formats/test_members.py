@@ -103,3 +103,10 @@ def test_two_files_for_one_frame_are_refused(tmp_path: Path) -> None:
     members = members_of(tmp_path.parent, (".zip",), follow_links=False)
     with pytest.raises(BadData, match=r"1: expected one file for each frame, got 1\.jpg and 1\.png"):
         members.named(tmp_path.name, (".jpg", ".png"))
+
+
+def test_packing_that_would_be_unpacked_whole_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.zip", "w", zipfile.ZIP_BZIP2) as file:
+        file.writestr("bomb", bytes(5_000_000))
+    with pytest.raises(BadData, match="bomb: packing: expected deflate, or none, got method 12"):
+        members_of(tmp_path / "a.zip", (".zip",), follow_links=False).read("bomb", 1000)
