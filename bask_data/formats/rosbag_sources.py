@@ -41,6 +41,8 @@ def opened(source: Path, options: RosbagOptions) -> tuple[Bag, tuple[Path, ...]]
         return Bag(paths), paths
     name = names[chosen_episode(source, list(names), options.episode)]
     if (source / name).is_dir():
+        # A link to a folder elsewhere would become the folder that all files must lie in.
+        folder.member(f"{name}/metadata.yaml", "SOURCE")
         return _ros2_folder(Folder(source / name, options.follow_links))
     path = folder.member(name, "SOURCE")
     return Bag((path,)), (path,)

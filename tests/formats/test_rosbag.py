@@ -350,6 +350,15 @@ def test_metadata_may_not_name_files_elsewhere(tmp_path: Path) -> None:
         read(path)
 
 
+def test_a_link_to_the_folder_of_a_bag_elsewhere_is_refused(tmp_path: Path) -> None:
+    path = write_recording(tmp_path / "elsewhere")
+    (tmp_path / "bags").mkdir()
+    (tmp_path / "bags/scan").symlink_to(path)
+    with pytest.raises(BadData, match="got a link out of it"):
+        read(tmp_path / "bags")
+    assert camera_of(tmp_path / "bags", follow_links=True).n_frames == 4
+
+
 def test_files_compressed_as_a_whole_are_refused_with_a_way_out(tmp_path: Path) -> None:
     path = write_recording(tmp_path / "scan")
     (path / "scan.mcap").rename(path / "scan.mcap.zstd")
