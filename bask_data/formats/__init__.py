@@ -16,7 +16,7 @@ To add a format, touch three files, and a fourth if it has a layout that can be 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -64,9 +64,11 @@ class Format:
             UsageError: `source` is not what the format needs, or an option is missing or invalid.
             MissingDependency: a library that decodes the format is not installed.
         """
+        from bask_data.formats.alignment import option_files
         from bask_data.formats.label_files import with_labels
 
-        return with_labels(source, self._reader.read(source, options), options)
+        recording = with_labels(source, self._reader.read(source, options), options)
+        return replace(recording, files=(*recording.files, *option_files(source, recording.cameras, options)))
 
     def read(self, source: Path, options: SourceOptions) -> PreparedRecording:
         """The recording at `source`, ready to be written; raises as `opened` does."""

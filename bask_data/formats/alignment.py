@@ -6,6 +6,7 @@ colour is brought to them; depth of another camera is registered into colour by 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from bask_data.core.geometry import pixel_grid, unproject
 from bask_data.core.lens import Distortion, Lens, Undistortion, undistorted
 from bask_data.core.registration import color_at_depth_size, labels_at_depth_size, registered_depth
 from bask_data.errors import BadData, UsageError
+from bask_data.formats.choices import CAMERA
 from bask_data.formats.depth_values import DepthValues, depth_values
 from bask_data.formats.files import Folder
 from bask_data.formats.intrinsics import parse_intrinsics
@@ -135,6 +137,9 @@ class AlignedFrames:
         return image
 
 
+SCALED = "scaled"
+"""Value of `--depth-intrinsics` for colour's in another resolution."""
+
 SIZE_FIX = (
     "pass --depth-intrinsics with the depth camera's, and --color-from-depth if it is another camera than colour's; "
     "--depth-intrinsics scaled if it is the same camera in another resolution."
@@ -149,8 +154,7 @@ def aligned(source: Path, camera: SourceCamera, kept: list[int], options: Source
         BadData: intrinsics do not fit the images, or depth's size does not fit colour's and nothing says why.
         UsageError: an option does not apply, or is invalid.
     """
-    folder = Folder(source if source.is_dir() else source.parent, options.follow_links)
-    camera, assumptions = _with_options(folder, camera, kept[0], options)
+    camera, assumptions = _with_options(_folder(source, options), camera, kept[0], options)
     if camera.color_from_depth is None and _are_same(camera.lens, camera.depth_lens):
         camera = replace(camera, depth_lens=None)
     check_lens(camera, camera.lens, camera.intrinsics_size)
@@ -187,25 +191,55 @@ def _with_options(
 ) -> tuple[SourceCamera, dict[str, str]]:
     """The camera with what options state instead of its files."""
     assumptions = {}
-    depth_intrinsics, color_from_depth = (
-        text.replace("{camera}", camera.name) for text in (options.depth_intrinsics, options.color_from_depth)
-    )
+    depth_intrinsics, color_from_depth = _of_camera(camera, options)
     if options.distortion:
         lens = replace(camera.lens, distortion=parse_distortion(options.distortion))
         camera = replace(camera, lens=lens)
     if depth_intrinsics:
         size = camera.depth(first).shape[:2]
-        if depth_intrinsics == "scaled":
+        if depth_intrinsics == SCALED:
             camera = replace(camera, depth_lens=scaled_lens(camera.lens, (size[0], size[1])))
         else:
             K, _ = parse_intrinsics(folder, depth_intrinsics)
             camera = replace(camera, depth_lens=Lens(K, (size[0], size[1])))
         assumptions["depth intrinsics"] = depth_intrinsics
     if color_from_depth:
-        path = Path(color_from_depth)
-        path = path if path.is_file() else folder.member(color_from_depth, "--color-from-depth")
-        camera = replace(camera, color_from_depth=read_pose(path))
+        camera = replace(camera, color_from_depth=read_pose(_extrinsics_file(folder, color_from_depth)))
     return camera, assumptions
+
+
+def option_files(source: Path, cameras: Sequence[SourceCamera], options: SourceOptions) -> tuple[Path, ...]:
+    """The files that `--depth-intrinsics` and `--color-from-depth` name, for the digest of a recording.
+
+    Raises:
+        BadData: a file is missing, or holds something else.
+    """
+    folder = _folder(source, options)
+    files: list[Path] = []
+    for camera in cameras:
+        depth_intrinsics, color_from_depth = _of_camera(camera, options)
+        if depth_intrinsics not in ("", SCALED):
+            files += parse_intrinsics(folder, depth_intrinsics)[1]
+        if color_from_depth:
+            files.append(_extrinsics_file(folder, color_from_depth))
+    return tuple(dict.fromkeys(files))
+
+
+def _folder(source: Path, options: SourceOptions) -> Folder:
+    return Folder(source if source.is_dir() else source.parent, options.follow_links)
+
+
+def _of_camera(camera: SourceCamera, options: SourceOptions) -> tuple[str, str]:
+    """`--depth-intrinsics` and `--color-from-depth` with the camera's name in the place of `{camera}`."""
+    depth_intrinsics, color_from_depth = (
+        text.replace(CAMERA, camera.name) for text in (options.depth_intrinsics, options.color_from_depth)
+    )
+    return depth_intrinsics, color_from_depth
+
+
+def _extrinsics_file(folder: Folder, text: str) -> Path:
+    path = Path(text)
+    return path if path.is_file() else folder.member(text, "--color-from-depth")
 
 
 def z_of_ray_length(length: Depth, K: Float[ndarray, "3 3"]) -> Depth:

@@ -8,14 +8,12 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from bask_data.errors import BadData, UsageError
+from bask_data.formats.choices import CAMERA
 from bask_data.formats.files import Folder, source_folder
 from bask_data.formats.frames_camera import CameraOfFrames, read_camera
 from bask_data.formats.options.frames import FramesOptions
 from bask_data.formats.recording import RobotRecording, SourceRecording
 from bask_data.formats.robot_table import read_robot_table
-
-PLACEHOLDER = "{camera}"
-"""Stands for a camera's name in options."""
 
 
 def read(source: Path, options: FramesOptions) -> SourceRecording:
@@ -38,9 +36,7 @@ def read(source: Path, options: FramesOptions) -> SourceRecording:
 def _of_camera(folder: Folder, options: FramesOptions, name: str) -> FramesOptions:
     """The options of one camera, whose name stands in the place of `{camera}`."""
     filled = {
-        field: value.replace(PLACEHOLDER, name)
-        for field, value in options
-        if isinstance(value, str) and PLACEHOLDER in value
+        field: value.replace(CAMERA, name) for field, value in options if isinstance(value, str) and CAMERA in value
     }
     hand_eye = filled.get("gripper_from_camera")
     if hand_eye and not Path(hand_eye).is_file() and not folder.has(hand_eye):

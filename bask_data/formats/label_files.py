@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from bask_data.errors import BadData, UsageError
+from bask_data.formats.choices import CAMERA
 from bask_data.formats.files import Folder, frame_number, listed
 from bask_data.formats.images import read_labels
 from bask_data.formats.options.common import SourceOptions
@@ -17,10 +18,8 @@ from bask_data.formats.recording import SourceCamera, SourceRecording
 def with_labels(source: Path, recording: SourceRecording, options: SourceOptions) -> SourceRecording:
     """The recording with the label images that `--labels` names, if any, as its ground truth.
 
-    The text matched by `*` is a frame's name, or has its number. The pattern is looked for in SOURCE, or beside it if
-    SOURCE is a file.
-
-    `{camera}` in it stands for the camera's name.
+    The text matched by `*` is a frame's name, or has its number; `{camera}` stands for the camera's name. The pattern
+    is looked for in SOURCE, or beside it if SOURCE is a file.
 
     Raises:
         UsageError: there are several cameras, and the pattern does not say which one is labelled.
@@ -28,7 +27,7 @@ def with_labels(source: Path, recording: SourceRecording, options: SourceOptions
     """
     if not options.labels:
         return recording
-    if len(recording.cameras) > 1 and "{camera}" not in options.labels:
+    if len(recording.cameras) > 1 and CAMERA not in options.labels:
         names = ", ".join(camera.name for camera in recording.cameras)
         fix = "put {camera} into the pattern, for instance '{camera}/labels_*.png', or ingest one camera at a time."
         raise UsageError("--labels", expected="a pattern with {camera}, of several cameras", got=names, fix=fix)
@@ -51,7 +50,7 @@ def _labelled(camera: SourceCamera, paths: list[Path]) -> SourceCamera:
 
 def _files_of(folder: Folder, camera: SourceCamera, pattern: str) -> list[Path]:
     """The label image of each frame of a camera."""
-    found = folder.matching(pattern.replace("{camera}", camera.name), "labels")
+    found = folder.matching(pattern.replace(CAMERA, camera.name), "labels")
     by_number = {frame_number(name): path for name, path in found.items()}
     files = [found.get(frame) or by_number.get(frame_number(frame)) for frame in camera.frames]
     missing = [frame for frame, file in zip(camera.frames, files, strict=True) if file is None]

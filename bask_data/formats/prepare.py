@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from bask_data.core.geometry import nearest_rigid, rigid_fault
 from bask_data.errors import BadData
 from bask_data.formats.agreement import agreement
 from bask_data.formats.alignment import AlignedFrames, aligned
@@ -21,7 +22,7 @@ from bask_data.formats.bad_frames import Bad, bad_frames, chosen_frames, refuse
 from bask_data.formats.files import listed
 from bask_data.formats.kept_frames import KeptFrames
 from bask_data.formats.options.common import SourceOptions
-from bask_data.formats.poses import is_rounded, rigid
+from bask_data.formats.poses import ROUNDED_TOLERANCE, is_rounded, rigid
 from bask_data.formats.recording import (
     CameraRecording,
     ObjectPose,
@@ -209,10 +210,13 @@ def _robot(
     if robot is None:
         return None
     rows = kept[recording.cameras[0].name]
-    gripper = None if robot.world_from_gripper is None else _moved(robot.world_from_gripper[rows], origin)
+    gripper = None
+    if robot.world_from_gripper is not None:
+        poses = robot.world_from_gripper[rows]
+        gripper = np.stack([nearest_rigid(p) if not rigid_fault(p, ROUNDED_TOLERANCE) else p for p in poses])
     return replace(
         robot,
-        world_from_gripper=gripper,
+        world_from_gripper=None if gripper is None else _moved(gripper, origin),
         gripper_width=None if robot.gripper_width is None else robot.gripper_width[rows],
         action=None if robot.action is None else robot.action[rows],
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import time
@@ -71,6 +72,8 @@ def ingest(
             _enter(dataset, item, format, source, options, makes, opened.has_labels)
         return [up_to_date(root, makes, item)], {}
     read = prepared(source, opened, options, _home(dataset))
+    if makes is Demonstration and read.robot is not None:
+        _check_robot(source, read.robot)
     with undone_if_new(root):
         dataset = dataset or Dataset.open_or_create(root)
         return _write(dataset, item, format, source, options, makes, read, key), read.assumptions
@@ -85,6 +88,26 @@ def _home(dataset: Dataset | None) -> tuple[float, float, float]:
             if (path := dataset.path(makes, item)).exists() and any(origin := makes(path).metadata.origin):
                 return (origin[0], origin[1], origin[2])
     return (0.0, 0.0, 0.0)
+
+
+def _check_robot(source: Path, robot: recording.RobotRecording) -> None:
+    """Refuse states that keypoints cannot be carried along with; `BadData`."""
+    from bask_data.core.geometry import rigid_fault
+
+    states = [] if robot.world_from_gripper is None else [rigid_fault(pose) for pose in robot.world_from_gripper]
+    faults = {i: f"a gripper's pose that is no rigid transform: {fault}" for i, fault in enumerate(states) if fault}
+    for i, width in enumerate([] if robot.gripper_width is None else robot.gripper_width.tolist()):
+        if not math.isfinite(width):
+            faults.setdefault(i, f"a gripper's width of {width}")
+    if faults:
+        first = min(faults)
+        raise BadData(
+            source,
+            f"robot at frame {first} of those read",
+            expected="its state at every frame",
+            got=f"{faults[first]}" + (f"; so in {len(faults)} frames" if len(faults) > 1 else ""),
+            fix="leave such frames out by --frames, or read the recording with --as scan.",
+        )
 
 
 def _write(

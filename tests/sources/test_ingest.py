@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -10,7 +12,10 @@ import pytest
 
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData, BaskError, UsageError, WouldOverwrite
-from bask_data.formats import FORMATS
+from bask_data.formats import FORMATS, Format
+from bask_data.formats.options.common import SourceOptions
+from bask_data.formats.options.frames import FramesOptions
+from bask_data.formats.recording import RobotRecording, SourceRecording
 from bask_data.kinds import Demonstration, Scan, Truth
 from bask_data.sources.ingest import ingest
 from bask_data.validate import validate
@@ -67,6 +72,42 @@ def test_assumptions_are_recorded(source: Path, tmp_path: Path) -> None:
 def test_same_source_and_options_again_is_up_to_date(source: Path, tmp_path: Path) -> None:
     frames(source, tmp_path / "d")
     assert frames(source, tmp_path / "d") == ["up to date"]
+
+
+@pytest.mark.parametrize(
+    ("option", "text"),
+    [("color_from_depth", "1 0 0 0.001  0 1 0 0  0 0 1 0  0 0 0 1"), ("depth_intrinsics", "5 5 2.5 1.5")],
+)
+def test_a_file_that_an_option_names_is_part_of_the_source(
+    source: Path, tmp_path: Path, option: str, text: str
+) -> None:
+    beside = tmp_path / "calibration.txt"
+    beside.write_text(text)
+    options = {option: str(beside), "trust": True}
+    assert [frames(source, tmp_path / "d", options=options) for _ in range(2)] == [["made"], ["up to date"]]
+    beside.write_text(text.replace("0.001", "0.002").replace("2.5", "2.4"))
+    with pytest.raises(WouldOverwrite):
+        frames(source, tmp_path / "d", options=options)
+
+
+def test_a_gripper_that_is_lost_is_refused_in_a_demonstration_only(source: Path, tmp_path: Path) -> None:
+    poses = np.stack([np.eye(4), np.full((4, 4), np.nan), np.eye(4)])
+    with pytest.raises(BadData, match="robot at frame 1 of those read: expected its state at every frame"):
+        with_gripper(source, tmp_path / "d", poses, "demonstration")
+    assert not (tmp_path / "d").exists()
+    with_gripper(source, tmp_path / "d", poses, "scan")
+
+
+def with_gripper(source: Path, root: Path, poses: np.ndarray, kind: Literal["scan", "demonstration"]) -> None:
+    """Ingest the frames of `source` with these poses of a gripper."""
+
+    class WithGripper(Format):
+        def opened(self, source: Path, options: SourceOptions) -> SourceRecording:
+            return replace(super().opened(source, options), robot=RobotRecording(poses))
+
+    format = WithGripper("frames", "", FORMAT["frames"].options)
+    options = FramesOptions(intrinsics="5,5,2.5,1.5")
+    ingest(root, "table", format=format, source=source, options=options, kind=kind)
 
 
 def test_existing_scene_is_kept_without_force(source: Path, tmp_path: Path) -> None:
