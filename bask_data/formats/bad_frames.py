@@ -80,6 +80,8 @@ def bad_frames(camera: SourceCamera, chosen: list[int], options: SourceOptions) 
             try:
                 camera.color(i)
                 has_depth = bool((np.nan_to_num(camera.depth(i)) > 0).any())
+                if options.confidence is not None and camera.confidence is not None:
+                    camera.confidence(i)
             except BadData as error:
                 yield Bad(camera.name, camera.frames[i], i, "unreadable", error)
                 continue

@@ -129,5 +129,16 @@ def _exported_robot(file: Hdf5File, recorded: str, n_frames: int) -> RobotRecord
         else None,
         gripper_width=file.array(f"{recorded}/gripper_width", (n_frames,)) if "gripper_width" in there else None,
         action=file.array(f"{recorded}/action", (n_frames, None)) if "action" in there else None,
-        action_names=tuple(json.loads(names)) if isinstance(names, str) else None,
+        action_names=_names(f"{file.path}: {recorded}", names) if isinstance(names, str) else None,
     )
+
+
+def _names(where: str, text: str) -> tuple[str, ...]:
+    """Names in a JSON list."""
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
+        raise BadData(where, "action_names", expected="a JSON list of names", got=text[:80])
+    return tuple(found)

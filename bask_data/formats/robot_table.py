@@ -46,14 +46,17 @@ def read_robot_table(folder: Folder, text: str, n_frames: int) -> RobotTable:
         BadData: a row is missing or has too few values, a value is no number, or two columns share a name.
     """
     path = Path(text) if Path(text).is_file() else folder.member(text, "--robot")
-    rows = list(csv.reader(read_lines(path)))
-    names = [name.strip() for name in rows[0]]
-    if len(set(names)) < len(names) or not all(names) or all(_is_number(name) for name in names):
+    try:
+        rows = list(csv.reader(read_lines(path)))
+    except csv.Error as error:
+        raise BadData(path, "rows", expected="values separated by commas", got=str(error)) from error
+    names = [name.strip() for name in rows[0]] if rows else []
+    if not names or len(set(names)) < len(names) or not all(names) or all(_is_number(name) for name in names):
         raise BadData(
             path,
             "header",
             expected=f"distinct names of columns, such as {WIDTH}",
-            got=listed(names),
+            got=listed(names) or "none",
             fix="write the names into the first line, separated by commas.",
         )
     if len(rows) - 1 != n_frames:

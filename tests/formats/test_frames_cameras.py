@@ -106,6 +106,8 @@ def test_a_hand_eye_calibration_of_no_camera_is_refused(tmp_path: Path) -> None:
         ("gripper_width\n0.1\n0.2\n", "rows: expected 3, one for each frame, got 2"),
         ("0.1\n0.2\n0.3\n0.4\n", "header: expected distinct names of columns"),
         ("x,x\n1,2\n1,2\n1,2\n", "header: expected distinct names of columns"),
+        ("\n", "header: expected distinct names of columns, such as gripper_width, got none"),
+        ("x\n" + "1" * 200_000, "rows: expected values separated by commas, got field larger"),
         ("x,y\n1,2\n1\n1,2\n", "row 2: expected 2 numbers, got 1 values"),
         ("x,y\n1,2\n1,nan\n1,2\n", "row 2: expected 2 numbers, got 'nan'"),
     ],

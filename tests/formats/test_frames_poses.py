@@ -91,6 +91,9 @@ def test_frames_that_no_pose_is_near_can_be_left_out(tmp_path: Path) -> None:
 def test_frames_whose_number_no_line_has_can_be_left_out(tmp_path: Path) -> None:
     write_frames(tmp_path, POSES, names=["1", "2", "3", "9"])
     (tmp_path / "t.txt").write_text(lines(["9", "1", "3"], POSES[[3, 0, 2]]))
+    (tmp_path / "lost.txt").write_text(lines(["9", "nan", "3"], POSES[[3, 0, 2]]))
+    with pytest.raises(BadData, match="none that starts with the number of 1.  fix: pass --skip-bad"):
+        read(tmp_path, pose="lost.txt", pose_by="number")
     with pytest.raises(BadData, match="none that starts with the number of 2.  fix: pass --skip-bad"):
         read(tmp_path, pose="t.txt")
     camera = read(tmp_path, pose="t.txt", skip_bad=True).cameras[0]
