@@ -111,6 +111,11 @@ class Lens:
         return self if self.K.ndim == 2 else Lens(self.K[i_frame], self.size, self.distortion)
 
 
+def one_if_same(Ks: Float[ndarray, "t 3 3"]) -> Float[ndarray, "3 3"] | Float[ndarray, "t 3 3"]:
+    """K of all frames if it never changes, otherwise that of each."""
+    return Ks[0] if (Ks == Ks[0]).all() else Ks
+
+
 @dataclass(frozen=True)
 class Undistortion:
     """Where each pixel of the pinhole image lies in the distorted one.

@@ -22,6 +22,7 @@ from bask_data.errors import BadData
 from bask_data.formats.files import Folder, frame_number, numbers, paired, read_bytes, source_folder
 from bask_data.formats.image_files import ImageFiles
 from bask_data.formats.intrinsics import parse_intrinsics
+from bask_data.formats.label_files import labels_in
 from bask_data.formats.options.apc import ApcOptions
 from bask_data.formats.poses import parse_pose, parse_transform, read_transforms
 from bask_data.formats.recording import ObjectPose, SourceCamera, SourceRecording
@@ -196,6 +197,5 @@ def _in_world(source: Path, rig: _Rig, world: str) -> tuple[Float[ndarray, "t 4 
 
 def _label_names(images: ImageFiles) -> dict[int, str]:
     """Names of the labels that occur."""
-    labelled = [i for i, path in enumerate(images.label) if path is not None]
-    present = sorted({int(value) for i in labelled for value in np.unique(images.read_labels(i))} - {0})
+    present = labels_in(path for path in images.label if path is not None)
     return {label: OBJECT_NAMES.get(label, f"label {label}") for label in present}

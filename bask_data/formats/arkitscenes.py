@@ -15,6 +15,7 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from bask_data.core.lens import Lens
+from bask_data.core.time_pairs import nearest
 from bask_data.errors import BadData
 from bask_data.formats.arkitscenes_assets import (
     SAME_STAMP,
@@ -29,7 +30,6 @@ from bask_data.formats.images import read_color, read_depth, read_labels
 from bask_data.formats.lenses import scaled_lens
 from bask_data.formats.options.arkitscenes import ArkitscenesOptions
 from bask_data.formats.recording import SourceCamera, SourceRecording
-from bask_data.formats.tum import nearest
 
 TRAJECTORY = "lowres_wide.traj"
 """File of the poses, which are those of the wide camera at any resolution."""

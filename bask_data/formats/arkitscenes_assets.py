@@ -11,6 +11,7 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from bask_data.core.geometry import invert_rigid
+from bask_data.core.time_pairs import nearest
 from bask_data.core.trajectory import interpolated
 from bask_data.errors import BadData
 from bask_data.formats.clock import seconds
@@ -18,7 +19,6 @@ from bask_data.formats.files import Folder, numbers, read_lines
 from bask_data.formats.images import image_header
 from bask_data.formats.intrinsics import intrinsics_matrix
 from bask_data.formats.stated_images import intrinsics_of
-from bask_data.formats.tum import nearest
 
 SAME_STAMP = 0.00105
 """Largest difference, seconds, between the stamps of one moment in two files: names are rounded to milliseconds, some

@@ -19,7 +19,8 @@ TimeUnit = Literal["auto", "s", "ms", "us", "ns"]
 PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 """Stamps per second, by unit, the coarsest first."""
 
-UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+TIME_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+"""Units of time, in words."""
 
 EPOCH_BEGIN, EPOCH_END = 946_684_800, 4_102_444_800
 """Seconds from 1970 to the years 2000 and 2100: a stamp between them, in one of the units, counts from 1970. No two
@@ -101,7 +102,7 @@ def seconds(
     source = where.name if isinstance(where, Path) else where
     origin = " since 1970" if _dated(stamps) == taken else ""
     option = "" if unit == "auto" else f" (--time-unit {unit})"
-    return Clock(time, f"{UNIT_NAMES[taken]}{origin}, from {source}{option}")
+    return Clock(time, f"{TIME_NAMES[taken]}{origin}, from {source}{option}")
 
 
 def _recognised(stamps: ndarray, where: Path | str, instead: str) -> str:
@@ -123,8 +124,8 @@ def _recognised(stamps: ndarray, where: Path | str, instead: str) -> str:
         where,
         "time stamps",
         expected="stamps whose unit can be recognised",
-        got=f"a median interval of {median:.6g}: {median / PER_SECOND[first]:.3g} s if they are {UNIT_NAMES[first]}, "
-        f"{median / PER_SECOND[second]:.3g} s if they are {UNIT_NAMES[second]}",
+        got=f"a median interval of {median:.6g}: {median / PER_SECOND[first]:.3g} s if they are {TIME_NAMES[first]}, "
+        f"{median / PER_SECOND[second]:.3g} s if they are {TIME_NAMES[second]}",
         fix=_or(f"pass --time-unit {first} or --time-unit {second}", instead),
     )
 
@@ -164,7 +165,7 @@ def _check_plausible(stamps: ndarray, unit: str, where: Path | str, lines: Seque
         return
     intervals = np.diff(stamps) / PER_SECOND[unit]
     dated = _dated(stamps)
-    looks_like = f"; they look like {UNIT_NAMES[dated]} since 1970" if dated not in (None, unit) else ""
+    looks_like = f"; they look like {TIME_NAMES[dated]} since 1970" if dated not in (None, unit) else ""
     other_unit = f"pass --time-unit {dated}" if looks_like else "pass --time-unit with the unit of the stamps"
     median = float(np.median(intervals))
     if median < SHORTEST_MEDIAN:
@@ -172,7 +173,7 @@ def _check_plausible(stamps: ndarray, unit: str, where: Path | str, lines: Seque
             where,
             "time stamps",
             expected=f"a median interval of at least {SHORTEST_MEDIAN:g} s",
-            got=f"{median:.3g} s, read as {UNIT_NAMES[unit]}{looks_like}",
+            got=f"{median:.3g} s, read as {TIME_NAMES[unit]}{looks_like}",
             fix=_or(other_unit, instead),
         )
     for i in np.flatnonzero(intervals > LONGEST_GAP)[:1].tolist():
@@ -180,7 +181,7 @@ def _check_plausible(stamps: ndarray, unit: str, where: Path | str, lines: Seque
             where,
             _place(i + 1, lines),
             expected="at most an hour between frames",
-            got=f"{stamps[i + 1]} after {stamps[i]}: {intervals[i]:.3g} s, read as {UNIT_NAMES[unit]}{looks_like}",
+            got=f"{stamps[i + 1]} after {stamps[i]}: {intervals[i]:.3g} s, read as {TIME_NAMES[unit]}{looks_like}",
             fix=_or(
                 other_unit if median > LONGEST_GAP else "ingest what is before and after as two recordings", instead
             ),

@@ -19,7 +19,7 @@ from bask_data.formats.frames_times import BY_NAME, frame_times, in_order_of_tim
 from bask_data.formats.image_files import ImageFiles
 from bask_data.formats.intrinsics import CameraIntrinsics, read_calibration, refuse_unnamed_lens
 from bask_data.formats.options.frames import FramesOptions
-from bask_data.formats.poses import UNIT_NAMES, other_readings, to_world_from_camera
+from bask_data.formats.poses import LENGTH_NAMES, other_readings, to_world_from_camera
 from bask_data.formats.recording import Depth, SourceCamera
 
 DEFAULT_COLOR = FramesOptions.model_fields["color"].default
@@ -194,7 +194,7 @@ def _assumptions(
     whose = " of the gripper" if options.gripper_from_camera else ""
     order = " ".join(options.quat)
     return {
-        "pose": f"files hold {options.pose_is}{whose}, {UNIT_NAMES[options.pose_unit]}; "
+        "pose": f"files hold {options.pose_is}{whose}, {LENGTH_NAMES[options.pose_unit]}; "
         + ("matrices are column-major" if options.column_major else f"quaternions are {order}")
         + (f"; {poses.statement}" if poses.statement else ""),
         "camera axes": f"{options.axes}: {axes[options.axes]}",

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from bask_data.core.geometry import invert_rigid
+from bask_data.core.time_pairs import nearest
 from bask_data.core.trajectory import interpolated
 from bask_data.errors import BadData
 from bask_data.formats.clock import seconds
@@ -161,10 +162,8 @@ def poses_at_times(
 
 def _rounded(time: Float[ndarray, " t"], pose_time: Float[ndarray, " n"]) -> Float[ndarray, " t"]:
     """The frames' times, those of poses where they differ by rounding to three decimals only."""
-    after = np.clip(np.searchsorted(pose_time, time), 0, len(pose_time) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(time - pose_time[before] < pose_time[after] - time, pose_time[before], pose_time[after])
-    return np.where(np.abs(nearest - time) <= ROUNDED_STAMP, nearest, time)
+    index = nearest(time, pose_time, ROUNDED_STAMP)
+    return np.where(index >= 0, pose_time[index], time)
 
 
 def _median_gap(time: Float[ndarray, " n"]) -> str:

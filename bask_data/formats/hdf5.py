@@ -182,6 +182,13 @@ class Hdf5File:
         dataset = self._dataset(place, shape, kinds)
         return StoredFrames(self, place, dataset, self._large(place, dataset))
 
+    def color(self, place: str) -> StoredFrames:
+        """Colour images over frames, (t, h, w, 3); see `frames` for the errors."""
+        images = self.frames(place, (None, None, None, 3), "u")
+        if images.dtype != np.uint8:
+            raise BadData(self.path, place, expected="8 bits per channel", got=images.dtype, fix="rewrite it as uint8.")
+        return images
+
     def shape(self, place: str) -> tuple[int, ...]:
         """Shape of a data set; `BadData` if there is none."""
         return self._dataset(place, None, "biuf").shape

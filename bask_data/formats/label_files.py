@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,14 +35,18 @@ def with_labels(source: Path, recording: SourceRecording, options: SourceOptions
     folder = Folder(source if source.is_dir() else source.parent, options.follow_links)
     files = {camera.name: _files_of(folder, camera, options.labels) for camera in recording.cameras}
     paths = [path for found in files.values() for path in found]
-    present = sorted({int(value) for path in paths for value in np.unique(read_labels(path))} - {0})
     return replace(
         recording,
         cameras=tuple(_labelled(camera, files[camera.name]) for camera in recording.cameras),
-        label_names={label: recording.label_names.get(label, f"label {label}") for label in present},
+        label_names={label: recording.label_names.get(label, f"label {label}") for label in labels_in(paths)},
         assumptions={**recording.assumptions, "labels": f"{options.labels}, taken as truth for reports only"},
         files=(*recording.files, *paths),
     )
+
+
+def labels_in(files: Iterable[Path]) -> list[int]:
+    """Labels of objects that occur in label images, in order."""
+    return sorted({int(value) for file in files for value in np.unique(read_labels(file))} - {0})
 
 
 def _labelled(camera: SourceCamera, paths: list[Path]) -> SourceCamera:

@@ -17,6 +17,7 @@ from bask_data.errors import BadData
 from bask_data.formats.depth_values import LARGEST
 from bask_data.formats.images import check_depth, decode, image_header
 from bask_data.formats.lerobot_info import Feature
+from bask_data.formats.poses import METRES_PER_UNIT
 from bask_data.formats.recording import Depth
 
 LARGEST_CODE = 4095
@@ -27,9 +28,6 @@ DEFAULTS: dict[str, float | bool] = {"depth_min": 0.01, "depth_max": 10.0, "shif
 
 LARGEST_METRES = 1000.0
 """Bound on the stated range of depth, metres: beyond every sensor."""
-
-UNITS = {"m": 1.0, "mm": 0.001}
-"""Metres per unit, by what `depth_unit` states."""
 
 
 @dataclass(frozen=True)
@@ -148,6 +146,6 @@ def unit_of(feature: Feature, is_float: bool) -> tuple[float, str]:
     Source: lerobot 0.6 takes floating point for metres and whole numbers for millimetres.
     """
     stated = feature.info.get("depth_unit")
-    if isinstance(stated, str) and stated in UNITS:
-        return UNITS[stated], "as meta/info.json says"
+    if isinstance(stated, str) and stated in METRES_PER_UNIT:
+        return METRES_PER_UNIT[stated], "as meta/info.json says"
     return (1.0, "LeRobot's rule for floating point") if is_float else (0.001, "LeRobot's rule for whole numbers")

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from bask_data.core.lens import Distortion
+from bask_data.core.lens import Distortion, one_if_same
 from bask_data.errors import UsageError
 from bask_data.formats.intrinsics import intrinsics_matrix, read_calibration
 from bask_data.formats.json_values import array
@@ -55,7 +55,7 @@ def find_intrinsics(
         values = rows.column(column)
         if values.shape[1] in (4, 9):
             K = np.stack([_matrix(f"{rows.table.path}: {column}", row) for row in values])
-            return FoundIntrinsics(K[0] if (K[0] == K).all() else K, f"column {column}, pinhole", column=column)
+            return FoundIntrinsics(one_if_same(K), f"column {column}, pinhole", column=column)
     stated = {name: value for name, value in entry.fields.items() if "intrinsics" in words_of(name) and value}
     for name in columns_for(camera, stated, n_cameras):
         K = _matrix(f"{entry.files[0]}: {name}", stated[name])

@@ -18,7 +18,7 @@ from bask_data.formats.lerobot_cameras import CameraFeatures, columns_for
 from bask_data.formats.lerobot_columns import POSE_WIDTHS, EpisodeRows
 from bask_data.formats.options.lerobot import LerobotOptions
 from bask_data.formats.poses import (
-    UNIT_NAMES,
+    LENGTH_NAMES,
     other_readings,
     parse_transform,
     read_pose,
@@ -138,7 +138,7 @@ class PoseFinder:
         return CameraPoses(
             repeated,
             str(path),
-            f"fixed, {path.name}: {options.pose_is}, {UNIT_NAMES[options.pose_unit]}",
+            f"fixed, {path.name}: {options.pose_is}, {LENGTH_NAMES[options.pose_unit]}",
             files=(path,),
         )
 
@@ -154,7 +154,7 @@ class PoseFinder:
         is_quat = values.shape[1] == 7
         form = f"quaternions {options.quat}" if is_quat else "matrices " + _order(options)
         otherwise = other_readings(written, options, folder=folder, quaternions=is_quat)
-        statement = f"column {column} ({why}): {options.pose_is}, {UNIT_NAMES[options.pose_unit]}, {form}"
+        statement = f"column {column} ({why}): {options.pose_is}, {LENGTH_NAMES[options.pose_unit]}, {form}"
         return CameraPoses(poses, where, statement, otherwise, (), column)
 
     def _of_hand(self) -> CameraPoses:

@@ -13,7 +13,7 @@ from bask_data.formats.lerobot_cameras import words_of
 from bask_data.formats.lerobot_columns import EpisodeRows
 from bask_data.formats.lerobot_poses import gripper_transforms
 from bask_data.formats.options.lerobot import LerobotOptions
-from bask_data.formats.poses import METRES_PER_UNIT, UNIT_NAMES
+from bask_data.formats.poses import LENGTH_NAMES, METRES_PER_UNIT
 from bask_data.formats.recording import RobotRecording
 
 STATE = "observation.state"
@@ -48,7 +48,7 @@ def read_robot(rows: EpisodeRows, options: LerobotOptions) -> RobotColumns:
         gripper = (written, column)
         world_from_gripper = written.copy()
         world_from_gripper[:, :3, 3] *= METRES_PER_UNIT[options.pose_unit]
-        assumptions["gripper"] = f"{column}: world_from_gripper, {UNIT_NAMES[options.pose_unit]}"
+        assumptions["gripper"] = f"{column}: world_from_gripper, {LENGTH_NAMES[options.pose_unit]}"
     width = options.gripper_width or _width_column(rows)
     if width:
         assumptions["gripper width"] = f"{width}, metres"

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 from numpy import ndarray
 
+from bask_data.core.time_pairs import nearest
 from bask_data.errors import BadData
 from bask_data.formats.lerobot_columns import EpisodeRows
 from bask_data.formats.lerobot_episodes import EpisodeEntry
@@ -81,17 +82,14 @@ class EpisodeVideo:
 def _matched(video: VideoFrames, time: Float[ndarray, " t"], fps: float) -> tuple[ndarray, dict[int, BadData]]:
     """Number of the video's frame at each time, and why there is none."""
     stamps = video.time
-    after = np.clip(np.searchsorted(stamps, time), 0, len(stamps) - 1)
-    before = np.maximum(after - 1, 0)
-    numbers = np.where(np.abs(stamps[before] - time) <= np.abs(stamps[after] - time), before, after)
-    off = ~(np.abs(stamps[numbers] - time) <= SAME_TIME / fps)
+    numbers = nearest(time, stamps, SAME_TIME / fps)
     faults = {}
-    for i in np.flatnonzero(off).tolist():
+    for i in np.flatnonzero(numbers < 0).tolist():
         faults[i] = BadData(
             video.path,
             f"frame {i} of the episode",
             expected=f"a frame at {time[i]:.4f} s",
-            got=f"the nearest at {stamps[numbers[i]]:.4f} s",
+            got=f"frames from {stamps[0]:.4f} to {stamps[-1]:.4f} s, and none so near",
             fix="copy videos/ again; --skip-bad leaves such frames out.",
         )
-    return np.where(off, -1, numbers), faults
+    return numbers, faults

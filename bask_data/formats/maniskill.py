@@ -20,7 +20,7 @@ from bask_data.formats.maniskill_cameras import LAYOUTS, ManiskillCamera, unusab
 from bask_data.formats.options.maniskill import ManiskillOptions
 from bask_data.formats.poses import parse_transform
 from bask_data.formats.recording import RobotRecording, SourceRecording
-from bask_data.formats.simulated import chosen_cameras, common_length, left_out, object_labels
+from bask_data.formats.simulated import about_numbers, chosen_cameras, common_length, left_out, object_labels
 
 FINGERS = (-0.005, 0.045)
 """Range of a Panda's finger joints, metres: 0 to 0.04, and what the simulation overshoots."""
@@ -71,7 +71,7 @@ def read(source: Path, options: ManiskillOptions) -> SourceRecording:
             "intrinsics": cameras[0].about_K,
             "time": about_time,
             "robot": about_robot,
-            **({"labels": _about_labels(options.objects)} if has_numbers else {}),
+            **({"labels": about_numbers("segmentation", options.objects)} if has_numbers else {}),
             **left_out(lacking, names),
         },
         files=(path, *documents),
@@ -148,9 +148,3 @@ def _robot(file: Hdf5File, name: str, n_frames: int, document: dict[str, Any]) -
     else:
         parts.append("no actions of a single robot")
     return RobotRecording(gripper, width, action, names), "; ".join(parts)
-
-
-def _about_labels(objects: str) -> str:
-    if objects:
-        return "segmentation, taken as truth for reports only; objects by --objects"
-    return "segmentation is there, but not read: --objects NUMBER=NAME says which numbers are objects"

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Integer, UInt8
+from jaxtyping import Float, Integer
 from numpy import ndarray
 
 from bask_data.core.geometry import invert_rigid
@@ -60,7 +60,7 @@ class ManiskillCamera:
         self.name, self._file, self._layout = name, file, layout
         images = f"{observations}/{layout.images}/{name}"
         self._calibration = f"{observations}/{layout.calibration}/{name}"
-        self._color = file.frames(f"{images}/rgb", (None, None, None, 3), "u")
+        self._color = file.color(f"{images}/rgb")
         n_frames, height, width, _ = self._color.shape
         self._depth = file.frames(f"{images}/depth", (n_frames, height, width, 1), "iuf")
         self.numbers: StoredFrames | None = None
@@ -78,15 +78,12 @@ class ManiskillCamera:
             lens=Lens(self._K, (height, width)),
             world_from_cameras=self._poses(n_frames),
             time=np.arange(n_frames) / fps,
-            color=self._read_color,
+            color=self._color,
             depth=_metres(self._depth) if is_float else _units(self._depth),
             depth_scale=1.0 if is_float else self._layout.depth_scale,
             labels=labelled(_flat(self.numbers), objects) if self.numbers is not None and objects else None,
             pose_places=tuple(f"{self._file.path}: {self._calibration} frame {i}" for i in range(n_frames)),
         )
-
-    def _read_color(self, i: int) -> UInt8[ndarray, "h w 3"]:
-        return np.ascontiguousarray(self._color(i), dtype=np.uint8)
 
     def _poses(self, n_frames: int) -> Float[ndarray, "t 4 4"]:
         """world_from_camera of both statements of it, which must agree where both are there."""

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from bask_data.core.lens import Distortion, Lens
+from bask_data.core.lens import Distortion, Lens, one_if_same
 from bask_data.errors import BadData
 from bask_data.formats.json_values import number
 
@@ -48,7 +48,7 @@ def lens_of(path: Path, table: Mapping[str, Any], frames: Sequence[Mapping[str, 
             fix="undistort the images beforehand, or write a file with transforms for each camera.",
         )
     Ks = np.stack([_matrix(path, {**table, **frame}, _name(frame), size) for frame in frames])
-    return Lens(Ks[0] if (Ks == Ks[0]).all() else Ks, size, next(iter(distortions)))
+    return Lens(one_if_same(Ks), size, next(iter(distortions)))
 
 
 def depth_lens_of(lens: Lens, size: tuple[int, int]) -> Lens:

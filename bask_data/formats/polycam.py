@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from bask_data.core.lens import Lens
+from bask_data.core.lens import Lens, one_if_same
 from bask_data.errors import BadData
 from bask_data.formats.clock import seconds
 from bask_data.formats.files import MAX_TEXT_BYTES, natural
@@ -36,7 +36,7 @@ def read(source: Path, options: PolycamOptions) -> SourceRecording:
     size, depth_size = (image_header(*files.content(group, first)) for group in (files.color, files.depth))
     color_size = (size.height, size.width)
     Ks = np.stack([(cameras.get(name) or cameras[first]).K for name in names])
-    lens = Lens(Ks[0] if (Ks == Ks[0]).all() else Ks, color_size)
+    lens = Lens(one_if_same(Ks), color_size)
     for i in usable:
         if (stated := cameras[names[i]].size) not in (None, color_size):
             faults[i] = _other_size(files, names[i], stated, color_size)

@@ -30,9 +30,10 @@ ROUNDED_TOLERANCE = 3e-3
 rotation is then less than 0.1 degrees away."""
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""Units of translations."""
+"""Units of lengths."""
 
-UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
+LENGTH_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
+"""Units of lengths, in words."""
 
 
 def parse_transform(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from bask_data.core.lens import Lens
+from bask_data.core.lens import Lens, one_if_same
 from bask_data.errors import BadData
 from bask_data.formats.clock import seconds
 from bask_data.formats.json_values import array, number
@@ -139,7 +139,7 @@ def _intrinsics(where: str, files: Record3dFiles, places: list[int]) -> tuple[Fl
     Ks = np.tile(np.eye(3), (len(places), 1, 1))
     # Frames beyond the last row are without a pose, too.
     Ks[:, [0, 1, 0, 1], [0, 1, 2, 2]] = rows[np.minimum(places, len(rows) - 1)]
-    return (Ks[0] if (Ks == Ks[0]).all() else Ks), "each frame's own"
+    return one_if_same(Ks), "each frame's own"
 
 
 def _time(where: str, files: Record3dFiles, places: list[int]) -> tuple[Float[ndarray, " t"], str]:

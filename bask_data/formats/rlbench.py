@@ -20,7 +20,7 @@ from bask_data.formats.pickles import Record, read_pickle
 from bask_data.formats.poses import parse_transform
 from bask_data.formats.recording import RobotRecording, SourceRecording
 from bask_data.formats.rlbench_cameras import PICKLE, found_cameras, numbers_of, read_camera, surplus
-from bask_data.formats.simulated import chosen_cameras, left_out, object_labels
+from bask_data.formats.simulated import about_numbers, chosen_cameras, left_out, object_labels
 
 CLASSES = ("rlbench.demo.Demo", "rlbench.backend.observation.Observation")
 
@@ -60,7 +60,7 @@ def read(source: Path, options: RlbenchOptions) -> SourceRecording:
             "intrinsics": read_cameras[0][1],
             "time": f"frame number / {options.fps:g} per second: RLBench states none",
             "robot": about_robot,
-            **({"labels": _about_labels(options.objects)} if has_numbers else {}),
+            **({"labels": about_numbers("masks", options.objects)} if has_numbers else {}),
             **left_out(reasons, names),
             **surplus(images, len(observations)),
         },
@@ -133,9 +133,3 @@ def _robot(where: Path, observations: list[dict[str, Any]]) -> tuple[RobotRecord
 def _contradict(is_open: Float[ndarray, " t"], width: Float[ndarray, " t"]) -> bool:
     """Whether the gripper is ever said to be closed at full width: RLBench calls it open from 90 % on."""
     return bool(((is_open == 0) & (width > 0.95 * FULL_WIDTH)).any())
-
-
-def _about_labels(objects: str) -> str:
-    if objects:
-        return "masks, taken as truth for reports only; objects by --objects"
-    return "masks are there, but not read: --objects NUMBER=NAME says which handles are objects"

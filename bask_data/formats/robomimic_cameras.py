@@ -10,12 +10,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from bask_data.core.geometry import invert_rigid
-from bask_data.core.lens import Lens
+from bask_data.core.lens import Lens, one_if_same
 from bask_data.errors import BadData
 from bask_data.formats.hdf5 import Hdf5File
 from bask_data.formats.options.robomimic import RobomimicOptions
@@ -98,7 +98,7 @@ class RobomimicCamera:
 
     def __init__(self, file: Hdf5File, demo: str, name: str, info: dict[str, Any], options: RobomimicOptions) -> None:
         self._file, self._demo, self.name, self._options = file, demo, name, options
-        self._color = file.frames(f"{demo}/obs/{name}_image", (None, None, None, 3), "u")
+        self._color = file.color(f"{demo}/obs/{name}_image")
         self.n_frames, height, width, _ = self._color.shape
         self._size = (height, width)
         place = f"{demo}/obs/{name}_depth"
@@ -111,7 +111,7 @@ class RobomimicCamera:
         if file.is_group(self._calibration):
             self._poses = file.array(f"{self._calibration}/world_from_camera", (self.n_frames, 4, 4))
             K = file.array(f"{self._calibration}/intrinsics", (self.n_frames, 3, 3))
-            self._K = K[0] if (K[0] == K).all() else K
+            self._K = one_if_same(K)
             self.about_K, self.about_poses = "as they were exported", "world_from_camera as it was exported"
         else:
             K = np.tile(self._matrix(info, "intrinsics", 3), (self.n_frames, 1, 1))
@@ -128,15 +128,12 @@ class RobomimicCamera:
             lens=Lens(self._K, self._size),
             world_from_cameras=self._poses,
             time=time,
-            color=self._read_color,
+            color=self._color,
             depth=self._read_depth,
             depth_scale=self._unit,
             pose_places=tuple(f"{self._file.path}: {self._demo}: {self.name} frame {i}" for i in range(self.n_frames)),
             otherwise=self.otherwise,
         )
-
-    def _read_color(self, i: int) -> UInt8[ndarray, "h w 3"]:
-        return np.ascontiguousarray(self._color(i), dtype=np.uint8)
 
     def _matrix(self, info: dict[str, Any], key: str, n: int) -> Float[ndarray, "n n"]:
         try:

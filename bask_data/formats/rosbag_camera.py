@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from bask_data.core.lens import Lens
+from bask_data.core.time_pairs import mutual_nearest
 from bask_data.errors import BadData
 from bask_data.formats.clock import seconds
 from bask_data.formats.files import Folder, listed
@@ -25,7 +26,6 @@ from bask_data.formats.rosbag_images import color_of, depth_of
 from bask_data.formats.rosbag_lenses import has_lens, same_camera, stated_lens
 from bask_data.formats.rosbag_motion import FrameMotion, camera_motion
 from bask_data.formats.rosbag_topics import CameraTopics, ImageTopic
-from bask_data.formats.tum import mutual_nearest
 
 BODY_FROM_OPTICAL = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """REP 103: a body's x is forward, y left and z up; a camera's optical frame has x right, y down and z forward."""

@@ -14,11 +14,11 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from bask_data.core.lens import Distortion, Lens
+from bask_data.core.time_pairs import nearest
 from bask_data.errors import BadData
 from bask_data.formats.rosbag_bag import Bag
 from bask_data.formats.rosbag_contents import Calibrations, Contents
 from bask_data.formats.rosbag_topics import ImageTopic
-from bask_data.formats.tum import nearest
 
 SAME_MODELS = {"fisheye": "equidistant", "radtan": "plumb_bob"}
 """Other names of ROS's lens models, which some drivers write."""

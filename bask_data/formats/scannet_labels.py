@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
@@ -13,6 +12,7 @@ from bask_data.errors import BadData
 from bask_data.formats.files import Folder, listed, natural
 from bask_data.formats.images import image_header, read_labels
 from bask_data.formats.json_values import read_json
+from bask_data.formats.label_files import labels_in
 
 LABEL_FOLDERS = ("instance-filt", "instance")
 """Folders of instance labels, the best first, as ScanNet's archives of 2D annotations unpack."""
@@ -55,9 +55,8 @@ def instance_labels(folder: Folder, prefix: str, frames: list[str]) -> InstanceL
         why = f"frames {listed(lacking)} lack them" if lacking else f"{bits} bits instead of 8"
         return InstanceLabels((), {}, (), f"{inside} is not taken as truth: {why}")
     files = {name: files[name] for name in frames}
-    present = sorted({int(value) for file in files.values() for value in np.unique(read_labels(file))} - {0})
     stated, name_files = _instance_names(folder)
-    label_names = {label: stated.get(label, f"instance {label}") for label in present}
+    label_names = {label: stated.get(label, f"instance {label}") for label in labels_in(files.values())}
     statement = f"instances of {inside}, taken as truth for reports only"
     return InstanceLabels(tuple(files.values()), label_names, tuple(name_files), statement)
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Integer, UInt8
 from numpy import ndarray
 
+from bask_data.core.lens import one_if_same
 from bask_data.errors import BadData, UsageError
 
 MAX_LABEL = 255
@@ -39,7 +40,7 @@ def at_pixel_centres(
     text = "pinhole, from the files"
     if from_corner.any():
         text += "; the principal point (width / 2, height / 2) counts from the image's corner: half a pixel taken off"
-    return (shifted[0] if (shifted == shifted[0]).all() else shifted), text
+    return one_if_same(shifted), text
 
 
 def object_labels(text: str) -> dict[int, tuple[int, str]]:
@@ -61,6 +62,13 @@ def object_labels(text: str) -> dict[int, tuple[int, str]]:
     if len(labels) > MAX_LABEL:
         raise UsageError("--objects", expected=f"at most {MAX_LABEL} names", got=len(labels))
     return objects
+
+
+def about_numbers(images: str, objects: str) -> str:
+    """What is said of images of object numbers: whether `--objects` makes them ground truth."""
+    if objects:
+        return f"{images}, taken as truth for reports only; objects by --objects"
+    return f"{images} there, but not read: --objects NUMBER=NAME says which numbers are objects"
 
 
 def labelled(

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from bask_data.core.lens import one_if_same
 from bask_data.formats.images import read_depth
 from bask_data.formats.recording import Depth, SourceCamera
 
@@ -17,7 +18,7 @@ def intrinsics_of(stated: Sequence[Float[ndarray, "3 3"] | None]) -> Float[ndarr
     """K of each image, or one if all are the same; images without one, which are bad, get that of another."""
     known = [K for K in stated if K is not None]
     Ks = np.stack([known[0] if K is None else K for K in stated])
-    return Ks[0] if (Ks == Ks[0]).all() else Ks
+    return one_if_same(Ks)
 
 
 def scaled_depth(files: Sequence[Path], scales: Sequence[float | None]) -> tuple[float, Callable[[int], Depth]]:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from bask_data.core.lens import Lens
+from bask_data.core.lens import Lens, one_if_same
 from bask_data.errors import BadData
 from bask_data.formats.clock import seconds
 from bask_data.formats.depth_files import read_any_depth
@@ -201,7 +201,7 @@ def _faults(
 
 def _lens(folder: Folder, table: _Odometry, size: tuple[int, int]) -> tuple[Lens, tuple[Path, ...]]:
     if table.K is not None:
-        return Lens(table.K[0] if (table.K[0] == table.K).all() else table.K, size), ()
+        return Lens(one_if_same(table.K), size), ()
     K, files = parse_intrinsics(folder, "camera_matrix.csv")
     return Lens(K, size), files
 

@@ -79,6 +79,8 @@ class Trajectory:
 def _number_in(key: str) -> int | None:
     if not is_number(key):
         return frame_number(PurePosixPath(key).stem)
+    if key.isdecimal():
+        return int(key)  # Nanoseconds since 1970 have more digits than a float.
     value = float(key)
     return int(value) if np.isfinite(value) and value == np.rint(value) else None
 

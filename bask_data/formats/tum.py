@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from bask_data.core.lens import Lens
+from bask_data.core.time_pairs import mutual_nearest
 from bask_data.errors import BadData
 from bask_data.formats.clock import Clock, seconds
 from bask_data.formats.files import Folder, listed, numbered_lines, source_folder
@@ -113,20 +114,6 @@ class _Images:
     def time(self) -> Float[ndarray, " n"]:
         """Seconds."""
         return self.clock.time
-
-
-def nearest(time: Float[ndarray, " n"], other: Float[ndarray, " m"], limit: float) -> Int[ndarray, " n"]:
-    """Index of the nearest of the other times, seconds, which ascend; -1 if it is more than `limit` away."""
-    after = np.clip(np.searchsorted(other, time), 0, len(other) - 1)
-    before = np.maximum(after - 1, 0)
-    index = np.where(np.abs(other[before] - time) <= np.abs(other[after] - time), before, after)
-    return np.where(np.abs(other[index] - time) <= limit, index, -1)
-
-
-def mutual_nearest(time: Float[ndarray, " n"], other: Float[ndarray, " m"], limit: float) -> Int[ndarray, " n"]:
-    """As `nearest`, for pairs that are each other's nearest only, so that no depth image is used twice."""
-    forth, back = nearest(time, other, limit), nearest(other, time, limit)
-    return np.where((forth >= 0) & (back[forth] == np.arange(len(time))), forth, -1)
 
 
 def _images(folder: Folder, options: TumOptions) -> _Images:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bask_data.errors import BadData
-from bask_data.formats.clock import PER_SECOND, UNIT_NAMES, TimeUnit, seconds
+from bask_data.formats.clock import PER_SECOND, TIME_NAMES, TimeUnit, seconds
 
 TIMES = Path("recording/times.txt")
 NOVEMBER_2020 = 1_604_644_894
@@ -20,7 +20,7 @@ def test_stamps_since_1970_are_recognised_in_any_unit(unit: str, whole: bool) ->
     exact = NOVEMBER_2020 + np.arange(20) / (1 if unit == "s" and whole else 30)
     stamps = (NOVEMBER_2020 * PER_SECOND[unit] + np.rint((exact - NOVEMBER_2020) * PER_SECOND[unit])).astype(np.int64)
     clock = seconds(stamps if whole else exact * PER_SECOND[unit], TIMES)
-    assert clock.statement == f"{UNIT_NAMES[unit]} since 1970, from times.txt"
+    assert clock.statement == f"{TIME_NAMES[unit]} since 1970, from times.txt"
     assert np.abs(clock.time - exact).max() < (6e-4 if unit == "ms" and whole else 1e-6)
 
 
@@ -52,7 +52,7 @@ def test_stamps_since_1970_are_recognised_in_any_unit(unit: str, whole: bool) ->
 def test_the_unit_follows_from_the_interval_where_no_date_tells_it(stamps: list[float], unit: str) -> None:
     clock = seconds(np.array(stamps), "the stream")
     assert clock.time == pytest.approx(np.array(stamps) / PER_SECOND[unit], rel=1e-15)
-    assert clock.statement.removesuffix(", from the stream").removesuffix(" since 1970") == UNIT_NAMES[unit]
+    assert clock.statement.removesuffix(", from the stream").removesuffix(" since 1970") == TIME_NAMES[unit]
 
 
 @given(
@@ -93,7 +93,7 @@ def test_units_that_cannot_be_told_apart_are_asked_for_and_the_answer_is_taken(s
     for unit in units:
         clock = seconds(np.array(stamps), TIMES, unit=unit)
         assert clock.time == pytest.approx(np.array(stamps) / PER_SECOND[unit])
-        assert clock.statement.startswith(UNIT_NAMES[unit])
+        assert clock.statement.startswith(TIME_NAMES[unit])
         assert clock.statement.endswith(f", from times.txt (--time-unit {unit})")
 
 

@@ -223,3 +223,10 @@ def test_damaged_files_are_refused_with_their_name(tmp_path: Path) -> None:
     np.testing.assert_array_equal(frames(2), VALUES[2])
     with pytest.raises(BadData, match=r"flipped\.h5: a/values: expected readable HDF5"):
         frames(3)
+
+
+def test_colour_of_16_bits_is_refused_and_not_cut(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["rgb"] = np.full((2, 4, 5, 3), 256, np.uint16)
+    with pytest.raises(BadData, match="rgb: expected 8 bits per channel, got uint16"):
+        Hdf5File(tmp_path / "a.h5").color("rgb")

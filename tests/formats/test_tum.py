@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from bask_data.errors import BadData, UsageError
@@ -191,28 +189,6 @@ def test_other_readings_of_the_poses_are_compared(tmp_path: Path) -> None:
     assert np.abs(camera.otherwise["--quat wxyz"] - POSES).max() < 1e-9
     (camera,) = read(tmp_path, trajectory="wxyz.txt", quat="wxyz").cameras
     assert np.abs(camera.world_from_cameras - POSES).max() < 1e-9
-
-
-times = st.lists(st.integers(0, 1000), min_size=1, max_size=30, unique=True).map(
-    lambda v: np.sort(np.array(v, dtype=float))
-)
-
-
-@given(times, times, st.integers(0, 50))
-def test_the_nearest_time_agrees_with_a_full_search(time: np.ndarray, other: np.ndarray, limit: int) -> None:
-    gap = np.abs(time[:, None] - other[None])
-    index = tum.nearest(time, other, float(limit))
-    assert np.array_equal(index >= 0, gap.min(axis=1) <= limit)
-    kept = index >= 0
-    assert np.array_equal(gap[np.arange(len(time)), index][kept], gap.min(axis=1)[kept])
-
-
-@given(times, times, st.integers(0, 50))
-def test_no_depth_image_is_used_twice(time: np.ndarray, other: np.ndarray, limit: int) -> None:
-    index = tum.mutual_nearest(time, other, float(limit))
-    used = index[index >= 0]
-    assert len(set(used.tolist())) == len(used)
-    assert (np.abs(other[used] - time[index >= 0]) <= limit).all()
 
 
 def test_the_benchmarks_intrinsics_are_known_by_the_rigs_name(tmp_path: Path) -> None:
