@@ -26,6 +26,9 @@ from tests.formats.folders import write_image
 from tests.formats.videos import write_video
 from tests.formats.views import OPENGL, Views
 
+TRACK = 6
+"""Images that may see a point of COLMAP's model: real tracks are as short."""
+
 
 @dataclass(frozen=True)
 class Written:
@@ -340,14 +343,15 @@ def colmap(folder: Path, views: Views) -> Written:
     lens = f"{K[0, 0]} {K[1, 1]} {K[0, 2] + 0.5} {K[1, 2] + 0.5}"
     (model / "cameras.txt").write_text(f"1 PINHOLE {width} {height} {lens}\n")
     points, seen = [], [[] for _ in range(views.n)]
-    rng = np.random.default_rng(0)
+    rng, inverse = np.random.default_rng(0), views.camera_from_world
     for i in range(views.n):
         v, u = np.nonzero(views.depth_mm[i])
         for k in rng.choice(len(v), 40, replace=False):
             z = views.depth_mm[i, v[k], u[k]] / 1000
             point = views.poses[i] @ [*(z * np.linalg.solve(K, [u[k], v[k], 1.0])), 1.0]
             track = []
-            for j, camera_from_world in enumerate(views.camera_from_world):
+            for j in range(i, min(i + TRACK, views.n)):
+                camera_from_world = inverse[j]
                 x, y, depth = K @ (camera_from_world @ point)[:3]
                 uv = np.array([x, y]) / depth
                 column, row = np.rint(uv).astype(int)
