@@ -137,8 +137,13 @@ class AlignedFrames:
         return image
 
 
+DEPTH_OPTION = "--depth-intrinsics"
+
 SCALED = "scaled"
 """Value of `--depth-intrinsics` for colour's in another resolution."""
+
+AS_WRITTEN = "read the recording as it was written: images that were resized or cropped do not fit its intrinsics."
+"""What to do about a recording whose own intrinsics do not fit its images."""
 
 SIZE_FIX = (
     "pass --depth-intrinsics with the depth camera's, and --color-from-depth if it is another camera than colour's; "
@@ -157,13 +162,13 @@ def aligned(source: Path, camera: SourceCamera, kept: list[int], options: Source
     camera, assumptions = _with_options(_folder(source, options), camera, kept[0], options)
     if camera.color_from_depth is None and _are_same(camera.lens, camera.depth_lens):
         camera = replace(camera, depth_lens=None)
-    check_lens(camera, camera.lens, camera.intrinsics_size)
+    check_lens(camera, camera.lens, camera.intrinsics_size, "" if options.has("intrinsics") else AS_WRITTEN)
     camera.color(kept[0])  # Its errors come first: swapped colour and depth are easier to see in colour.
     to = None
     if camera.depth_lens is not None or camera.color_from_depth is not None:
         camera = camera if camera.depth_lens else replace(camera, depth_lens=camera.lens)
         assert camera.depth_lens is not None
-        check_lens(camera, camera.depth_lens, "")
+        check_lens(camera, camera.depth_lens, "", "pass --depth-intrinsics with those of depth's own images.")
         to = options.align if options.align != "auto" else ("depth" if camera.color_from_depth is None else "color")
         if to == "depth" and camera.color_from_depth is not None:
             raise UsageError(
@@ -174,7 +179,7 @@ def aligned(source: Path, camera: SourceCamera, kept: list[int], options: Source
             )
     if options.confidence is not None and camera.confidence is None:
         raise UsageError("--confidence", expected="a source with confidence maps", got="none", fix="leave it out.")
-    values = depth_values(camera, kept)
+    values = depth_values(camera, kept, has_scale_option=options.has("depth_scale"))
     assumptions |= _stated(camera, to, options, values)
     return AlignedFrames(camera, kept, to, values, assumptions, options.confidence, options.depth_is == "ray")
 
@@ -200,7 +205,7 @@ def _with_options(
         if depth_intrinsics == SCALED:
             camera = replace(camera, depth_lens=scaled_lens(camera.lens, (size[0], size[1])))
         else:
-            K, _ = parse_intrinsics(folder, depth_intrinsics)
+            K, _ = parse_intrinsics(folder, depth_intrinsics, DEPTH_OPTION)
             camera = replace(camera, depth_lens=Lens(K, (size[0], size[1])))
         assumptions["depth intrinsics"] = depth_intrinsics
     if color_from_depth:
@@ -219,7 +224,7 @@ def option_files(source: Path, cameras: Sequence[SourceCamera], options: SourceO
     for camera in cameras:
         depth_intrinsics, color_from_depth = _of_camera(camera, options)
         if depth_intrinsics not in ("", SCALED):
-            files += parse_intrinsics(folder, depth_intrinsics)[1]
+            files += parse_intrinsics(folder, depth_intrinsics, DEPTH_OPTION)[1]
         if color_from_depth:
             files.append(_extrinsics_file(folder, color_from_depth))
     return tuple(dict.fromkeys(files))

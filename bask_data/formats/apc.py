@@ -41,13 +41,13 @@ def read(source: Path, options: ApcOptions) -> SourceRecording:
     """The recording in `source`; see `ApcOptions.world` for the world frame."""
     folder = source_folder(source, options.follow_links)
     info = source / INFO_FILE
-    groups = {"color": _color_files(folder), "depth": folder.matching("frame-*.depth.png", "depth")}
+    groups = {"color": _color_files(folder), "depth": folder.matching("frame-*.depth.png", "depth", is_fixed=True)}
     if not info.exists():
-        groups["pose"] = folder.matching("frame-*.pose.txt", "pose")
+        groups["pose"] = folder.matching("frame-*.pose.txt", "pose", is_fixed=True)
     labels = _label_pattern(source)
     if labels:
-        groups["labels"] = folder.matching(labels, "labels")
-    names, missing = paired(source, groups)
+        groups["labels"] = folder.matching(labels, "labels", is_fixed=True)
+    names, missing = paired(source, groups, patterns=False)
     rig = (
         _rig_of_info(folder.member(INFO_FILE, "calibration"), folder, names)
         if info.exists()
@@ -103,7 +103,7 @@ class _Rig:
 def _color_files(folder: Folder) -> dict[str, Path]:
     """PNG as recorded, or JPEG as shipped with this package."""
     suffix = "jpg" if any(folder.path.glob("frame-*.color.jpg")) else "png"
-    return folder.matching(f"frame-*.color.{suffix}", "color")
+    return folder.matching(f"frame-*.color.{suffix}", "color", is_fixed=True)
 
 
 def _label_pattern(source: Path) -> str:

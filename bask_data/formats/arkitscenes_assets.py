@@ -101,7 +101,7 @@ def poses_at(path: Path, time: Float[ndarray, " t"], max_gap: float | None) -> I
         expected = "finite numbers `time rx ry rz tx ty tz` in each"
         raise BadData(path, "lines", expected=expected, got=f"{len(rows)} lines, some without")
     table = np.array(rows)
-    pose_time = seconds(table[:, 0], path, range(1, len(rows) + 1), unit="s").time
+    pose_time = seconds(table[:, 0], path, range(1, len(rows) + 1), unit="s", option="").time
     camera_from_world = np.tile(np.eye(4), (len(rows), 1, 1))
     camera_from_world[:, :3, :3] = Rotation.from_rotvec(table[:, 1:4]).as_matrix()
     camera_from_world[:, :3, 3] = table[:, 4:]

@@ -37,6 +37,9 @@ keyframes, or 3 to 10 ms at 100 to 333 frames per second. Chosen, sensitivity no
 LONGEST_GAP = 3600.0
 """Longest interval of a recording, seconds. Chosen, sensitivity not measured."""
 
+NO_OPTION = "write the times in seconds"
+"""What to do about a unit that no option states."""
+
 SHORTEST_MEDIAN = 1e-5
 """Shortest median interval of a recording, seconds: no camera takes 100 000 frames per second."""
 
@@ -61,6 +64,7 @@ def seconds(
     *,
     unit: TimeUnit = "auto",
     instead: str = "",
+    option: str = "--time-unit",
 ) -> Clock:
     """The stamps in seconds.
 
@@ -81,6 +85,7 @@ def seconds(
         lines: line of each stamp in the file, from 1, for messages; without them, stamps are counted from 1.
         unit: the unit, if known.
         instead: a way to do without the stamps, which the fix offers, too: "pass --fps without --timestamps".
+        option: that states the unit; empty where the format has none.
 
     Raises:
         BadData: stamps that are not finite or do not increase, an unknown unit, an interval above an hour, or a median
@@ -88,9 +93,9 @@ def seconds(
     """
     stamps = values.astype(np.int64 if np.issubdtype(values.dtype, np.integer) else np.float64)
     _check_increasing(stamps, where, lines, instead)
-    taken = _recognised(stamps, where, instead) if unit == "auto" else unit
+    taken = _recognised(stamps, where, instead, option) if unit == "auto" else unit
     per_second = PER_SECOND[taken]
-    _check_plausible(stamps, taken, where, lines, instead)
+    _check_plausible(stamps, taken, where, lines, instead, option)
     time: ndarray
     if stamps.dtype == np.int64:
         whole, rest = np.divmod(stamps, per_second)
@@ -101,11 +106,11 @@ def seconds(
     _check_increasing(time, where, lines, instead, shown=stamps)
     source = where.name if isinstance(where, Path) else where
     origin = " since 1970" if _dated(stamps) == taken else ""
-    option = "" if unit == "auto" else f" (--time-unit {unit})"
-    return Clock(time, f"{TIME_NAMES[taken]}{origin}, from {source}{option}")
+    given = f" ({option} {unit})" if option and unit != "auto" else ""
+    return Clock(time, f"{TIME_NAMES[taken]}{origin}, from {source}{given}")
 
 
-def _recognised(stamps: ndarray, where: Path | str, instead: str) -> str:
+def _recognised(stamps: ndarray, where: Path | str, instead: str, option: str) -> str:
     """The unit of increasing stamps; see `seconds`."""
     median = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
     dated = _dated(stamps)
@@ -126,7 +131,7 @@ def _recognised(stamps: ndarray, where: Path | str, instead: str) -> str:
         expected="stamps whose unit can be recognised",
         got=f"a median interval of {median:.6g}: {median / PER_SECOND[first]:.3g} s if they are {TIME_NAMES[first]}, "
         f"{median / PER_SECOND[second]:.3g} s if they are {TIME_NAMES[second]}",
-        fix=_or(f"pass --time-unit {first} or --time-unit {second}", instead),
+        fix=_or(f"pass {option} {first} or {option} {second}" if option else NO_OPTION, instead),
     )
 
 
@@ -160,13 +165,15 @@ def _check_increasing(
         )
 
 
-def _check_plausible(stamps: ndarray, unit: str, where: Path | str, lines: Sequence[int] | None, instead: str) -> None:
+def _check_plausible(
+    stamps: ndarray, unit: str, where: Path | str, lines: Sequence[int] | None, instead: str, option: str
+) -> None:
     if len(stamps) < 2:
         return
     intervals = np.diff(stamps) / PER_SECOND[unit]
     dated = _dated(stamps)
     looks_like = f"; they look like {TIME_NAMES[dated]} since 1970" if dated not in (None, unit) else ""
-    other_unit = f"pass --time-unit {dated}" if looks_like else "pass --time-unit with the unit of the stamps"
+    other_unit = f"pass {option} {dated if looks_like else 'with the unit of the stamps'}" if option else NO_OPTION
     median = float(np.median(intervals))
     if median < SHORTEST_MEDIAN:
         raise BadData(

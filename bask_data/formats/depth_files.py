@@ -117,5 +117,5 @@ def _not_one_channel(path: Path, got: str) -> BadData:
         "depth",
         expected="one channel, of 16 bits or in floating point",
         got=got,
-        fix="check --depth, or save the depth alone: as 16-bit PNG, or with numpy.save.",
+        fix="check that this is the depth, or save depth alone: as 16-bit PNG, or with numpy.save.",
     )

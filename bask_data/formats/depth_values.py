@@ -64,8 +64,11 @@ class DepthValues:
         return raw if raw.dtype == np.uint16 else self.quantised(self.metres(raw))
 
 
-def depth_values(camera: SourceCamera, kept: list[int]) -> DepthValues:
+def depth_values(camera: SourceCamera, kept: list[int], *, has_scale_option: bool) -> DepthValues:
     """How a camera's depth is stored, by some of its frames.
+
+    Args:
+        has_scale_option: whether the format has `--depth-scale`, which an error may offer.
 
     Raises:
         BadData: no frame has a measurement, or the median is implausible at this scale.
@@ -82,7 +85,7 @@ def depth_values(camera: SourceCamera, kept: list[int]) -> DepthValues:
             continue
         largest = max(largest, float(measured.max()) * camera.depth_scale)
         if not checked:
-            _check_median(camera, kept[int(k)], float(np.median(measured)) * camera.depth_scale)
+            _check_median(camera, kept[int(k)], float(np.median(measured)) * camera.depth_scale, has_scale_option)
             checked = True
         if not is_float:
             break
@@ -104,12 +107,14 @@ def depth_values(camera: SourceCamera, kept: list[int]) -> DepthValues:
     return DepthValues(camera.depth_scale, scale, {"depth values": text})
 
 
-def _check_median(camera: SourceCamera, i: int, median: float) -> None:
+def _check_median(camera: SourceCamera, i: int, median: float, has_scale_option: bool) -> None:
     if not PLAUSIBLE_DEPTH[0] <= median <= PLAUSIBLE_DEPTH[1]:
         raise BadData(
             f"{camera.name} {camera.frames[i]}",
             "depth",
             expected=f"a median between {PLAUSIBLE_DEPTH[0]:g} and {PLAUSIBLE_DEPTH[1]:g} m",
             got=f"{median:.4g} m at {camera.depth_scale:g} m per unit",
-            fix="pass --depth-scale: 0.001 for millimetres.",
+            fix="pass --depth-scale: 0.001 for millimetres."
+            if has_scale_option
+            else "check the files' depth: it is not in the unit that the format has.",
         )

@@ -71,8 +71,11 @@ class Folder:
         except OSError:  # A name that no file can have: too long.
             return False
 
-    def matching(self, pattern: str, option: str) -> dict[str, Path]:
+    def matching(self, pattern: str, option: str, *, is_fixed: bool = False) -> dict[str, Path]:
         """Files that match `pattern`, by the text that its one `*` matches, in natural order. Hidden files are ignored.
+
+        Args:
+            is_fixed: whether the format has this pattern, and no option of that name changes it.
 
         Raises:
             UsageError: the pattern has not exactly one `*`, or leaves the folder.
@@ -98,10 +101,10 @@ class Folder:
         if not files:
             raise BadData(
                 self.path,
-                f"--{option}",
+                option if is_fixed else f"--{option}",
                 expected=f"files that match {pattern!r}",
                 got="none",
-                fix=f"pass --{option} PATTERN.",
+                fix="check SOURCE." if is_fixed else f"pass --{option} PATTERN.",
             )
         return {name: files[name] for name in sorted(files, key=natural)}
 

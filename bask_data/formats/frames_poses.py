@@ -112,7 +112,7 @@ def poses_at_times(
     clock = seconds(trajectory.stamps, trajectory.path, trajectory.lines, unit=unit)  # type: ignore[arg-type]
     known = np.flatnonzero(np.isfinite(trajectory.poses).all(axis=(1, 2)))
     if not len(known):
-        fix = "check --pose: tracking was lost in every frame."
+        fix = "take another file of poses: tracking was lost in every frame of this one."
         raise BadData(trajectory.path, "pose", expected="finite numbers in some line", got="none", fix=fix)
     for k in known:
         rigid(trajectory.place(int(k)), trajectory.poses[k])

@@ -88,7 +88,7 @@ class ImageFiles:
                 "depth",
                 expected=f"{'floating point' if self.is_float else 'whole numbers'} as in {_first(self.depth).name}",
                 got=str(raw.dtype),
-                fix="ingest files of one kind: change --depth.",
+                fix="take depth files of one kind.",
             )
         return raw
 

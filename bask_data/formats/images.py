@@ -145,7 +145,7 @@ def check_depth(path: Path | str, header: ImageHeader) -> None:
             "depth",
             expected="one channel of 16 bits",
             got=f"{header.channels} of {header.bits}{', floating point' if header.is_float else ''}",
-            fix="check --depth, or export raw 16-bit depth: 8-bit and coloured depth images are for display only.",
+            fix="check that this is the depth, or export it raw: 8-bit and coloured depth images are for display only.",
         )
 
 

@@ -25,7 +25,9 @@ DOCUMENTS = (".json", ".yaml", ".yml")
 """Suffixes of calibrations with named fields."""
 
 
-def check_intrinsics(where: Path | str, K: Float[ndarray, "3 3"], size: tuple[int, int], stated: str) -> None:
+def check_intrinsics(
+    where: Path | str, K: Float[ndarray, "3 3"], size: tuple[int, int], stated: str, instead: str = ""
+) -> None:
     """Check that K fits images of this size.
 
     Intrinsics of another resolution are the most common mistake. The principal point reveals it, as it lies near the
@@ -35,6 +37,7 @@ def check_intrinsics(where: Path | str, K: Float[ndarray, "3 3"], size: tuple[in
         where: place for messages.
         size: (height, width), pixels.
         stated: WIDTHxHEIGHT of the images that K was calibrated with, or empty.
+        instead: what to do where `--intrinsics` and `--intrinsics-size` are no options; empty where they are.
 
     Raises:
         BadData: the size differs, the principal point is off-centre, or the focal lengths are implausible.
@@ -48,7 +51,7 @@ def check_intrinsics(where: Path | str, K: Float[ndarray, "3 3"], size: tuple[in
             "intrinsics",
             expected=f"images of {stated}",
             got=actual,
-            fix="scale fx, fy, cx, cy to the images' size.",
+            fix=instead or "scale fx, fy, cx, cy to the images' size.",
         )
     low, high = (0.0, 1.0) if stated else (0.25, 0.75)
     if not (low * width <= cx <= high * width and low * height <= cy <= high * height):
@@ -57,7 +60,8 @@ def check_intrinsics(where: Path | str, K: Float[ndarray, "3 3"], size: tuple[in
             "intrinsics",
             expected=f"a principal point {'inside' if stated else 'near the middle of'} images of {actual}",
             got=f"({cx:g}, {cy:g})",
-            fix="pass the intrinsics of this resolution"
+            fix=instead
+            or "pass the intrinsics of this resolution"
             + ("." if stated else f"; if the images are a crop, state --intrinsics-size {actual}."),
         )
     if not 0.1 * width <= min(fx, fy) <= max(fx, fy) <= 20 * width:
@@ -66,7 +70,7 @@ def check_intrinsics(where: Path | str, K: Float[ndarray, "3 3"], size: tuple[in
             "intrinsics",
             expected=f"focal lengths in pixels, {0.1 * width:g} to {20 * width:g}",
             got=f"({fx:g}, {fy:g})",
-            fix="pass fx, fy in pixels, not in millimetres.",
+            fix=instead or "pass fx, fy in pixels, not in millimetres.",
         )
 
 
@@ -106,29 +110,38 @@ class CameraIntrinsics:
         )
 
 
-def parse_intrinsics(folder: Folder, text: str) -> tuple[Float[ndarray, "3 3"], tuple[Path, ...]]:
+def parse_intrinsics(
+    folder: Folder, text: str, option: str = "--intrinsics"
+) -> tuple[Float[ndarray, "3 3"], tuple[Path, ...]]:
     """K from `fx,fy,cx,cy` or from a file (here or in the source folder), and the files it came from.
+
+    Args:
+        option: that holds the text.
 
     Raises:
         BadData: as `read_calibration`, or a lens distortion is stated, too.
     """
-    calibration = read_calibration(folder, text)
+    calibration = read_calibration(folder, text, option)
     if calibration.distortion is not None and not calibration.distortion.is_none:
         raise BadData(
-            calibration.files[0] if calibration.files else "--intrinsics",
+            calibration.files[0] if calibration.files else option,
             "intrinsics",
             expected="no lens distortion here",
             got=f"{calibration.distortion.model} {list(calibration.distortion.parameters)}",
-            fix="give fx,fy,cx,cy here, and the distortion with --distortion.",
+            fix="give fx,fy,cx,cy alone"
+            + (", and the distortion with --distortion." if option == "--intrinsics" else ", of undistorted images."),
         )
     return calibration.K, calibration.files
 
 
-def read_calibration(folder: Folder, text: str) -> CameraIntrinsics:
+def read_calibration(folder: Folder, text: str, option: str = "--intrinsics") -> CameraIntrinsics:
     """Intrinsics and lens distortion, from numbers or from a file (here or in the source folder).
 
     Numbers are fx, fy, cx, cy or a 3x3, 3x4 or 4x4 matrix. OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]] may follow the first
     two. JSON and YAML files are those of OpenCV, ROS, Open3D and RealSense, or have fields fx, fy, cx, cy.
+
+    Args:
+        option: that holds the text.
 
     Raises:
         UsageError: no intrinsics, or another count of numbers.
@@ -136,7 +149,7 @@ def read_calibration(folder: Folder, text: str) -> CameraIntrinsics:
     """
     if not text:
         raise UsageError(
-            "--intrinsics",
+            option,
             expected="fx,fy,cx,cy or a file",
             got="nothing",
             fix="take them from the camera's calibration; images do not contain them.",
@@ -146,9 +159,9 @@ def read_calibration(folder: Folder, text: str) -> CameraIntrinsics:
     if not path.is_file() and not folder.has(text) and len(words) > 1:
         if len(words) not in (4, *N_WITH_DISTORTION):
             fix = "images do not contain them: take them from the camera's calibration."
-            raise UsageError("--intrinsics", expected="4 numbers fx,fy,cx,cy", got=str(len(words)), fix=fix)
-        return calibration_of_numbers(folder.path, numbers(Path("--intrinsics"), text))
-    path = path if path.is_file() else folder.member(text, "--intrinsics")
+            raise UsageError(option, expected="4 numbers fx,fy,cx,cy", got=str(len(words)), fix=fix)
+        return calibration_of_numbers(folder.path, numbers(Path(option), text))
+    path = path if path.is_file() else folder.member(text, option)
     lines = read_lines(path)
     if path.suffix.lower() in DOCUMENTS or (lines and lines[0][0] in "{%"):
         document = read_document(path)

@@ -8,10 +8,14 @@ from bask_data.formats.intrinsics import check_intrinsics
 from bask_data.formats.recording import SourceCamera
 
 
-def check_lens(camera: SourceCamera, lens: Lens, stated: str) -> None:
-    """Check that intrinsics fit the images they are for, and that the distortion can be taken out; `BadData`."""
+def check_lens(camera: SourceCamera, lens: Lens, stated: str, instead: str = "") -> None:
+    """Check that intrinsics fit the images they are for, and that the distortion can be taken out; `BadData`.
+
+    Args:
+        stated, instead: see `check_intrinsics`.
+    """
     for K in lens.K if lens.K.ndim == 3 else [lens.K]:
-        check_intrinsics(camera.name, K, lens.size, stated)
+        check_intrinsics(camera.name, K, lens.size, stated, instead)
     maps_of(camera.name, lens.at(0))
 
 

@@ -101,7 +101,7 @@ def _frames(path: Path, table: Mapping[str, Any], fps: float) -> tuple[list[dict
     if all("timestamp" in frame for frame in frames):
         stamps = [number(f"{path}: {frame['file_path']}", frame, "timestamp") for frame in frames]
         order = np.argsort(stamps, kind="stable")
-        clock = seconds(np.array(stamps)[order], path, instead="remove timestamp from all frames")
+        clock = seconds(np.array(stamps)[order], path, instead="remove timestamp from all frames", option="")
         return [frames[i] for i in order], clock.time, clock.statement
     frames = sorted(frames, key=lambda frame: natural(frame["file_path"]))
     statement = f"place in the sorted list of frames / {fps:g} per second: the file has no times"

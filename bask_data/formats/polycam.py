@@ -48,7 +48,9 @@ def read(source: Path, options: PolycamOptions) -> SourceRecording:
         frames=tuple(names),
         lens=lens,
         world_from_cameras=poses * np.diag(OPENCV_FROM_OPENGL),
-        time=seconds(np.array([_stamp(files.members, name) for name in names]), "keyframes' names", unit="us").time,
+        time=seconds(
+            np.array([_stamp(files.members, name) for name in names]), "keyframes' names", unit="us", option=""
+        ).time,
         color=lambda i: decode_color(*files.content(files.color, names[i])),
         depth=lambda i: decode_depth(*files.content(files.depth, names[i])),
         depth_scale=0.001,

@@ -81,7 +81,7 @@ def prepared(
         assumptions |= {prefix + name: text for name, text in frames.assumptions.items()}
         assumptions |= _counts(prefix, camera, chosen[camera.name], kept[camera.name], bad)
         otherwise = {name: _moved(poses[kept[camera.name]], origin) for name, poses in camera.otherwise.items()}
-        scale_option = "--depth-scale" if hasattr(options, "depth_scale") else ""
+        scale_option = "--depth-scale" if options.has("depth_scale") else ""
         agreements[camera.name] = agreement(ready, otherwise, scale_option=scale_option)
         assumptions[f"{prefix}agreement"] = agreements[camera.name].text
         assumptions[f"{prefix}registration"] = registration(ready).text

@@ -146,7 +146,7 @@ def _time(where: str, files: Record3dFiles, places: list[int]) -> tuple[Float[nd
     stamps = files.table.get("frameTimestamps")
     values = array(where, "frameTimestamps", [] if stamps is None else stamps, ((-1,),))
     if len(values) > max(places):
-        clock = seconds(values, f"{where}: frameTimestamps", unit="s")
+        clock = seconds(values, f"{where}: frameTimestamps", unit="s", option="")
         return clock.time[places], "seconds, from frameTimestamps"
     fps = number(where, files.table, "fps", 30.0)
     if fps <= 0:

@@ -143,7 +143,7 @@ class BagCamera:
         """Seconds of all frames; the clock is checked on those that count."""
         where = f"{self.bag.paths[0]}: {self.topics.color.name}"
         values = np.array(stamps, np.int64)
-        seconds(np.unique(values), where, unit="ns", instead="pass --stamps arrival")
+        seconds(np.unique(values), where, unit="ns", instead="pass --stamps arrival", option="")
         whole, rest = np.divmod(values, 10**9)
         return whole + rest / 1e9
 

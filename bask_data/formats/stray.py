@@ -122,7 +122,7 @@ def _odometry(folder: Folder) -> _Odometry:
         fix = "sort the rows by frame, and remove those that repeat."
         raise BadData(path, "frame", expected="whole numbers that increase", got=str(number[:20].tolist()), fix=fix)
     poses = [parse_transform(f"{path}: frame {int(row['frame'])}", [row[name] for name in COLUMNS[2:]]) for row in rows]
-    clock = seconds(column["timestamp"], path)
+    clock = seconds(column["timestamp"], path, option="")
     has_K = all(name in column and np.isfinite(column[name]).all() for name in INTRINSICS)
     K = None
     if has_K:

@@ -130,7 +130,7 @@ def read_trajectory(path: Path, layout: PoseLayout) -> Trajectory:
         "pose",
         expected="lines of 7, 12 or 16 numbers, with a number or a time before them or not, or blocks of 4 lines of 4",
         got=f"{len(rows[odd])} numbers in line {lines[odd][0]}, {len(rows[0])} in the first" if rows else "no lines",
-        fix="check the file, and --pose.",
+        fix="check that this is the file of the poses.",
     )
 
 
@@ -155,7 +155,7 @@ def _of_blocks(path: Path, rows: list[list[float]], lines: list[int], layout: Po
             "pose",
             expected="blocks of 4 lines of 4 numbers, each with a line before it (`0 0 1`) or not",
             got=f"{len(rows)} lines of {', '.join(map(str, sorted({len(row) for row in rows})))} numbers",
-            fix="check the file, and --pose.",
+            fix="check that this is the file of the poses.",
         )
     step = height + has_key
     begins = range(0, len(rows), step)

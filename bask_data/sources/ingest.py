@@ -230,7 +230,7 @@ def _checked(camera: recording.CameraRecording) -> Callable[[int], tuple[Any, An
                 "depth",
                 expected="a measurement in some frame",
                 got=f"none in {camera.n_frames} frames",
-                fix="check --depth and --invalid-depth.",
+                fix="check the options that say which depth is read, and how it lies on colour.",
             )
         return rgb, depth
 

@@ -76,7 +76,8 @@ def test_colour_of_16_bits_is_refused(tmp_path: Path) -> None:
 def test_depth_of_8_bits_or_in_colour_is_refused(tmp_path: Path, image: np.ndarray, got: str) -> None:
     write_image(tmp_path / "d.png", image)
     with pytest.raises(
-        BadData, match=f"d.png: depth: expected one channel of 16 bits, got {got}.  fix: check --depth, or export raw"
+        BadData,
+        match=f"depth: expected one channel of 16 bits, got {got}.  fix: check that this is the depth, or export",
     ):
         images.read_depth(tmp_path / "d.png")
 

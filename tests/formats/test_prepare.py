@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ from bask_data.core.lens import Lens
 from bask_data.errors import BadData, UsageError
 from bask_data.formats.label_files import with_labels
 from bask_data.formats.options.common import SourceOptions
+from bask_data.formats.options.stray import StrayOptions
+from bask_data.formats.options.tum import TumOptions
 from bask_data.formats.prepare import prepared
 from bask_data.formats.recording import ObjectPose, PreparedRecording, RobotRecording, SourceCamera, SourceRecording
 from tests.formats.folders import HEIGHT, WIDTH, K, images, rigid, write_image
@@ -218,5 +221,19 @@ def test_depth_that_is_invalid_everywhere_is_refused_but_not_in_a_single_frame()
 
 @pytest.mark.parametrize("scale", [1.0, 1e-7])
 def test_an_implausible_depth_scale_is_refused(scale: float) -> None:
-    with pytest.raises(BadData, match=r"depth: expected a median between 0.001 and 100 m, got .* m at .*--depth-scale"):
+    message = r"depth: expected a median between 0.001 and 100 m, got .* m at .*fix: check the files' depth"
+    with pytest.raises(BadData, match=message):
         prepare(source_camera(depth_scale=scale))
+
+
+SCALED = {"depth_scale": 1.0}
+OFF_CENTRE = {"lens": Lens(K + np.array([[0, 0, WIDTH], [0, 0, 0], [0, 0, 0]]), (HEIGHT, WIDTH))}
+
+
+@pytest.mark.parametrize(("changes", "options"), [(SCALED, ["--depth-scale"]), (OFF_CENTRE, ["--intrinsics-size"])])
+def test_errors_offer_only_options_that_the_format_has(changes: dict[str, Any], options: list[str]) -> None:
+    for given in (TumOptions(), StrayOptions()):
+        with pytest.raises(BadData) as error:
+            prepared(Path(), recording_of(source_camera(**changes)), given)
+        offered = re.findall("--[a-z-]+", error.value.fix)
+        assert offered == (options if isinstance(given, TumOptions) else [])

@@ -69,6 +69,11 @@ class SourceOptions(Params):
         True, description="Move a world whose origin is far (UTM) near to the cameras; undone at export."
     )
 
+    @classmethod
+    def has(cls, name: str) -> bool:
+        """Whether the format has an option, so that an error may offer it."""
+        return name in cls.model_fields
+
 
 class PoseOptions(SourceOptions):
     """How poses are written, for formats that leave it open."""
