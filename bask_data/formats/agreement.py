@@ -71,12 +71,14 @@ def agreement(
     otherwise: dict[str, Float[ndarray, "t 4 4"]],
     *,
     scale_option: str = "",
+    is_ray: bool = False,
 ) -> Agreement:
     """What the depth of some pairs of frames says about the given reading.
 
     Args:
         otherwise: `world_from_cameras` under other readings of the same files, by the options for them.
         scale_option: the option that states the unit of depth, if the format has one: `--depth-scale`.
+        is_ray: whether depth was read as the length of the ray already.
     """
     pairs = _pairs(camera.n_frames)
     if not pairs:
@@ -88,7 +90,7 @@ def agreement(
         for i in sorted({i for pair in pairs for i in pair})
     }
     given = _Reading("the given options", camera.world_from_cameras)
-    readings = [given, *_others(camera, views, otherwise, scale_option)]
+    readings = [given, *_others(camera, views, otherwise, scale_option, is_ray)]
     scores = np.stack([_scores(reading, views, pairs) for reading in readings])
     still = _scores(_Reading(STILL, np.tile(np.eye(4), (camera.n_frames, 1, 1))), views, pairs)
     return _judged(readings, scores, still, _has_moved(camera, pairs))
@@ -99,6 +101,7 @@ def _others(
     views: dict[int, DepthView],
     otherwise: dict[str, Float[ndarray, "t 4 4"]],
     scale_option: str,
+    is_ray: bool,
 ) -> list[_Reading]:
     """The readings that are held against the given one."""
     poses = camera.world_from_cameras
@@ -108,7 +111,8 @@ def _others(
         for lag, neighbour in ((-1, "previous"), (1, "next")):
             shifted = poses[np.clip(index + lag, 0, camera.n_frames - 1)]
             readings.append(_Reading(f"the pose of the {neighbour} frame", shifted))
-    readings.append(_Reading("--depth-is ray (depth along the ray, not z)", poses, "--depth-is ray", is_ray=True))
+    if not is_ray:
+        readings.append(_Reading("--depth-is ray (depth along the ray, not z)", poses, "--depth-is ray", is_ray=True))
     depths = [view.z for view in views.values() if len(view.z)]
     median = float(np.median(np.concatenate(depths))) if depths else 0.0
     for factor in UNITS:

@@ -82,7 +82,9 @@ def prepared(
         assumptions |= _counts(prefix, camera, chosen[camera.name], kept[camera.name], bad)
         otherwise = {name: _moved(poses[kept[camera.name]], origin) for name, poses in camera.otherwise.items()}
         scale_option = "--depth-scale" if options.has("depth_scale") else ""
-        agreements[camera.name] = agreement(ready, otherwise, scale_option=scale_option)
+        agreements[camera.name] = agreement(
+            ready, otherwise, scale_option=scale_option, is_ray=options.depth_is == "ray"
+        )
         assumptions[f"{prefix}agreement"] = agreements[camera.name].text
         assumptions[f"{prefix}registration"] = registration(ready).text
         if not options.trust:

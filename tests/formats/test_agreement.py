@@ -92,6 +92,8 @@ def test_depth_along_the_ray_is_told_from_z() -> None:
     along = replace(camera(), read_depth=lambda k: np.rint(depth_of(k) * rays).astype(np.uint16))
     found = agreement(along, readings(POSES))
     assert (found.verdict, found.options) == ("other", "--depth-is ray")
+    told = agreement(along, readings(POSES), is_ray=True)
+    assert told.options == "", "the option is set already"
 
 
 def test_poses_of_another_recording_are_refused() -> None:
