@@ -37,6 +37,9 @@ POOR_EVIDENCE = 0.25
 """Mean evidence below which depth and poses do not fit under a reading. Exact synthetic data have 0.86, hand-held
 recordings 0.5 to 0.7."""
 
+RESTING_EVIDENCE = 0.5
+"""Mean evidence below which a camera whose poses are all the same may have moved. Sensitivity not measured."""
+
 LEAST_PAIRS = 4
 """Pairs below which nothing is sure: the standard error of fewer is a guess."""
 
@@ -83,13 +86,13 @@ def agreement(
     pairs = _pairs(camera.n_frames)
     if not pairs:
         return Agreement(0.0, 0, "cannot tell")
-    if _is_fixed(camera.world_from_cameras):
-        return Agreement(0.0, len(pairs), "cannot tell", rivals=(STILL,))
     views = {
         i: depth_view(camera.read_depth(i) * np.float32(camera.depth_scale), camera.Ks[i], N_WARPED)
         for i in sorted({i for pair in pairs for i in pair})
     }
     given = _Reading("the given options", camera.world_from_cameras)
+    if _is_fixed(camera.world_from_cameras):
+        return _at_rest(_scores(given, views, pairs))
     readings = [given, *_others(camera, views, otherwise, scale_option, is_ray)]
     scores = np.stack([_scores(reading, views, pairs) for reading in readings])
     still = _scores(_Reading(STILL, np.tile(np.eye(4), (camera.n_frames, 1, 1))), views, pairs)
@@ -120,6 +123,15 @@ def _others(
             option = f"{scale_option} {camera.depth_scale * factor:.6g}" if scale_option else ""
             readings.append(_Reading(option or f"depth {factor:g} times as large", poses, option, scale=factor))
     return readings
+
+
+def _at_rest(scores: Float[ndarray, " p"]) -> Agreement:
+    """What depth says of a camera that rests by its poses: that it moved, if little of its depth stays where it is."""
+    share = float(scores.mean())
+    if share >= RESTING_EVIDENCE or len(scores) < LEAST_PAIRS:
+        return Agreement(0.0, len(scores), "cannot tell", rivals=(STILL,))
+    is_sure = len(scores) >= REFUSED_PAIRS and share < POOR_EVIDENCE
+    return Agreement(share, len(scores), "moved" if is_sure else "may have moved", rivals=(STILL,))
 
 
 def _judged(

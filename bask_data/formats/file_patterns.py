@@ -32,6 +32,9 @@ OTHER_WORDS = {
 }
 """Words in names of files and folders that say what the files hold."""
 
+LEAST_SIDE = 16
+"""Rows and columns from which an array whose name says nothing is an image, and no matrix."""
+
 
 @dataclass(frozen=True)
 class FilePattern:
@@ -78,13 +81,23 @@ def words_of(text: str) -> list[str]:
 
 def count_of_numbers(text: bytes) -> int:
     """How many numbers a text consists of; 0 if of anything else, remarks after # aside."""
+    return len(numbers_of(text))
+
+
+def numbers_of(text: bytes) -> list[float]:
+    """The numbers that a text consists of; none if of anything else, remarks after # aside."""
     lines = text.decode("utf-8", errors="replace").splitlines()
     words = re.split(r"[\s,;\[\](){}]+", " ".join(line.split("#", 1)[0] for line in lines))
-    words = [word for word in words if word]
     try:
-        return len([float(word) for word in words])
+        return [float(word) for word in words if word]
     except ValueError:
-        return 0
+        return []
+
+
+def _is_depth_array(header: bytes) -> bool:
+    """Whether a .npy file is an image with one channel of 16 bits or in floating point."""
+    described = re.search(rb"'descr': '[<>|=]?(f2|f4|f8|u2|i2)'.*'shape': \((\d+), (\d+)\)", header)
+    return described is not None and min(int(described[2]), int(described[3])) > LEAST_SIDE
 
 
 def _around(names: list[str]) -> tuple[str, str]:
@@ -118,6 +131,8 @@ def _kind(listing: Listing, pattern: str, first: str) -> tuple[str, bool]:
     if named in ("label", "other"):
         return named, True
     if suffix in ARRAYS:
+        if not named and _is_depth_array(listing.head(first, 256)):
+            return "depth", False
         return (named, True) if named in ("depth", "pose") else ("other", False)
     header = listing.head(first, 26)
     if suffix == ".png" and header.startswith(b"\x89PNG"):

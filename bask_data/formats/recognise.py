@@ -14,10 +14,13 @@ from bask_data.formats.guess import Guess
 from bask_data.formats.listing import Listing
 from bask_data.formats.recognise_files import guess_of_file, zip_names
 from bask_data.formats.recognise_folders import RECOGNISERS
-from bask_data.formats.recognise_frames import Dump, find_dump, guess_of_dump, hints_of
+from bask_data.formats.recognise_frames import Dump, find_dump, guess_of_dump, hints_of, other_images
 
 MAX_INSIDE = 50
 """Sub-folders that are looked at if a folder is no recording itself."""
+
+SEARCHED_BELOW = ("scannet", "bop", "rlbench", "rosbag")
+"""Formats that a folder is also said to have if a folder in it is such a recording."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ def recognise(source: Path) -> RecognisedSource:
     if guess and len(inside) < 2:
         return RecognisedSource((guess,))
     if inside:
-        return _of_inside(inside)
+        return _of_inside(inside, guess.options.get("camera", "") if guess else "")
     if above := _above(source):
         return RecognisedSource(
             (), f"a part of a recording: the folder above is {above.format}'s", _again(above.source)
@@ -83,14 +86,17 @@ def _inside(listing: Listing) -> list[Guess]:
     return [*found, *(guess for guess in files if guess)]
 
 
-def _of_inside(inside: list[Guess]) -> RecognisedSource:
+def _of_inside(inside: list[Guess], cameras: str) -> RecognisedSource:
     places = {guess.source for guess in inside}
     if len(places) == 1:
         reason = f"SOURCE holds it: {inside[0].source.name}"
         return RecognisedSource(tuple(replace(guess, reasons=(*guess.reasons, reason)) for guess in inside))
     names = [f"{guess.source.name} ({guess.format})" for guess in inside]
     shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
-    return RecognisedSource((), f"a folder of {len(places)} recordings: {shown}", _again(inside[0].source))
+    fix = _again(inside[0].source)
+    if cameras:
+        fix += f"; if these are cameras of one recording, `ingest frames` with --camera {cameras} and {{camera}}"
+    return RecognisedSource((), f"a folder of {len(places)} recordings: {shown}", fix)
 
 
 def _above(source: Path) -> Guess | None:
@@ -98,10 +104,21 @@ def _above(source: Path) -> Guess | None:
     parent = Listing(source.resolve().parent)
     guesses = guesses_of_folder(parent)
     if guesses:
-        return guesses[0] if guesses[0].source == parent.root else None
+        return guesses[0] if guesses[0].source == parent.root and not _is_beside(source, parent, guesses[0]) else None
     guess = guess_of_dump(parent, find_dump(parent))
     name = f"{source.resolve().name}/"
     return guess if guess and any(value.startswith(name) for value in guess.options.values()) else None
+
+
+def _is_beside(source: Path, parent: Listing, guess: Guess) -> bool:
+    """Whether the folder above was recognised by a recording in another of its folders: a folder of many recordings,
+    of which the source is one, not a part of one."""
+    if guess.format not in SEARCHED_BELOW:
+        return False
+    others = [name for name in parent.folders()[:MAX_INSIDE] if name != source.resolve().name]
+    return any(
+        inner.format == guess.format for name in others for inner in guesses_of_folder(Listing(parent.root / name))
+    )
 
 
 def _without_poses(listing: Listing, dump: Dump) -> Guess:
@@ -114,6 +131,7 @@ def _without_poses(listing: Listing, dump: Dump) -> Guess:
         f"{dump.depth.pattern}",
         "no poses: COLMAP finds them from the images, and depth gives their scale",
         *hints_of(dump),
+        *other_images(dump),
     )
     return Guess("colmap", listing.root, reasons, options)
 

@@ -7,10 +7,20 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import PurePosixPath
 
-from bask_data.formats.file_patterns import POSE_WORDS, FilePattern, count_of_numbers, file_patterns, words_of
+import numpy as np
+
+from bask_data.formats.file_patterns import (
+    POSE_WORDS,
+    FilePattern,
+    count_of_numbers,
+    file_patterns,
+    numbers_of,
+    words_of,
+)
 from bask_data.formats.guess import Guess
 from bask_data.formats.listing import Listing
 from bask_data.formats.options.frames import FramesOptions
+from bask_data.formats.recognise_cameras import calibration_hints, options_for_cameras
 
 K_PLACEHOLDER = "fx,fy,cx,cy"
 """Stands in a command for intrinsics, which no file states."""
@@ -21,6 +31,9 @@ _FIELDS = re.compile(rb'"?(fx|fl_x|k|camera_matrix|intrinsic_matrix|cam_k|intrin
 
 TRAJECTORY_WORDS = POSE_WORDS | {"traj", "trajectory", "groundtruth", "gt", "odometry", "odom", "keyframetrajectory"}
 TRAJECTORY_ENDINGS = (".txt", ".log", ".npy", ".freiburg", ".csv")
+LEAST_LINES = 3
+"""Lines of poses that a file whose name does not say so must have."""
+
 LEAST_SHARED = 0.5
 """Share of a pattern's files that must have partners of another kind to belong to the same frames."""
 
@@ -85,12 +98,17 @@ def guess_of_dump(listing: Listing, dump: Dump) -> Guess | None:
     options = {name: pattern for name, pattern in wanted.items() if pattern != defaults[name]}
     if dump.calibration:
         options["intrinsics"] = dump.calibration
+    options |= options_for_cameras(listing, options, dump.others)
+    others = [] if "camera" in options else other_images(dump)
     reasons = [
         f"{len(dump.color.keys)} colour files {dump.color.pattern}",
         f"{len(dump.depth.keys)} depth files {dump.depth.pattern}",
         f"{len(dump.pose.keys)} pose files {dump.pose.pattern}" if dump.pose else f"poses in {dump.trajectory}",
         f"intrinsics in {dump.calibration}" if dump.calibration else "no file with intrinsics",
+        *([f"the same of cameras {options['camera']}"] if "camera" in options else []),
         *hints_of(dump),
+        *others,
+        *calibration_hints(listing),
     ]
     missing = {} if dump.calibration else {"intrinsics": K_PLACEHOLDER}
     return Guess("frames", listing.root, tuple(reasons), options, missing)
@@ -106,10 +124,13 @@ def hints_of(dump: Dump) -> list[str]:
             f"intrinsics of depth in {dump.depth_calibration}: if depth is not registered to colour, "
             f"--depth-intrinsics {dump.depth_calibration}"
         )
-    if dump.others:
-        shown = ", ".join(dump.others[:5]) + (", ..." if len(dump.others) > 5 else "")
-        hints.append(f"images of other cameras or kinds, not read: {shown}")
     return hints
+
+
+def other_images(dump: Dump) -> list[str]:
+    """What images there are that were not chosen."""
+    shown = ", ".join(dump.others[:5]) + (", ..." if len(dump.others) > 5 else "")
+    return [f"images of other cameras or kinds, not read: {shown}"] if dump.others else []
 
 
 def _best_pair(colors: list[FilePattern], depths: list[FilePattern]) -> tuple[FilePattern | None, FilePattern | None]:
@@ -175,9 +196,24 @@ def _trajectories(listing: Listing) -> list[str]:
                 continue
             is_named = bool(TRAJECTORY_WORDS & {*words_of(PurePosixPath(name).stem), PurePosixPath(name).stem.lower()})
             path = f"{folder}/{name}".lstrip("/")
-            if (is_named or suffix in (".log", ".freiburg")) and is_trajectory(listing.head(path), suffix):
+            head = listing.head(path)
+            is_named = is_named or suffix in (".log", ".freiburg")
+            if is_trajectory(head, suffix) and (is_named or is_rigid_lines(head)):
                 found.append((not is_named, path.count("/"), path))
     return [path for *_, path in sorted(found)]
+
+
+def is_rigid_lines(head: bytes) -> bool:
+    """Whether the lines of a file, whatever its name, are poses by their numbers: unit quaternions or rotations."""
+    lines = (head.rpartition(b"\n")[0] or head).splitlines()[:20]
+    rows = [numbers for line in lines if (numbers := numbers_of(line))]
+    if len(rows) < LEAST_LINES or len({len(row) for row in rows}) > 1 or len(rows[0]) not in (7, 8, 12, 13, 16, 17):
+        return False
+    values = np.array(rows)
+    if values.shape[1] in (7, 8):
+        return bool(np.allclose(np.linalg.norm(values[:, -4:], axis=1), 1, atol=1e-3))
+    matrices = values[:, values.shape[1] % 4 :].reshape(len(rows), -1, 4)[:, :3, :3]
+    return bool(np.allclose(matrices @ matrices.swapaxes(1, 2), np.eye(3), atol=1e-3))
 
 
 def is_trajectory(head: bytes, suffix: str) -> bool:

@@ -110,6 +110,24 @@ def test_a_camera_that_does_not_move_tells_nothing() -> None:
     found.refuse(Path("src"), "c")
 
 
+def test_equal_poses_of_a_camera_that_moved_are_refused_if_depth_is_sure() -> None:
+    moved = camera(np.tile(POSES[:1], (len(POSES), 1, 1)))
+    found = agreement(moved, {})
+    assert found.verdict == "moved"
+    with pytest.raises(BadData, match="though all poses are the same: the camera moved.*one for each frame"):
+        found.refuse(Path("src"), "c")
+
+    short = agreement(camera(moved.world_from_cameras, frames=[0, 2, 4, 6]), {})
+    assert short.verdict == "may have moved" and is_doubtful(short.text)
+    short.refuse(Path("src"), "c")
+
+
+def test_a_better_reading_that_does_not_fit_well_either_sends_to_the_intrinsics() -> None:
+    poor = Agreement(0.38, 20, "other", "--depth-is ray", 0.47, "--depth-is ray")
+    with pytest.raises(BadData, match="check the intrinsics first, as neither fits well"):
+        poor.refuse(Path("src"), "c")
+
+
 def test_a_single_frame_tells_nothing_and_that_is_said() -> None:
     found = agreement(camera(frames=[0]), {})
     assert found == Agreement(0.0, 0, "cannot tell")

@@ -15,6 +15,7 @@ from bask_data.formats.guess import Guess
 from bask_data.formats.listing import Listing
 from bask_data.formats.recognise import recognise
 from bask_data.formats.recognise_folders import RECOGNISERS
+from bask_data.formats.recognise_frames import is_rigid_lines
 from tests.formats.folders import images, rigid, write_frames, write_image
 from tests.formats.test_maniskill import written as write_maniskill
 from tests.formats.test_tum import write_sequence
@@ -158,6 +159,66 @@ def test_one_level_too_high_or_low_is_seen(tmp_path: Path) -> None:
     for inside in ("rgb", "rgb.txt"):
         refused = auto(tmp_path / "two/first" / inside, tmp_path / "d")
         assert refused.exit_code == 2 and f"ingest auto {tmp_path}/two/first {tmp_path}/d" in refused.stderr
+
+
+def test_a_folder_beside_recordings_is_not_taken_for_a_part_of_one(tmp_path: Path) -> None:
+    write_dump(tmp_path / "scene0", color="color/{}.png")
+    (tmp_path / "scene0/intrinsic").mkdir()
+    (tmp_path / "scene0/intrinsic/intrinsic_depth.txt").write_text("20 0 7 0\n0 20 5 0\n0 0 1 0\n0 0 0 1\n")
+    assert guess_at(write_dump(tmp_path / "mine", pose="")).format == "colmap"
+    assert guess_at(tmp_path / "scene0").format == "scannet"
+    assert "the folder above is scannet's" in auto(tmp_path / "scene0/color", tmp_path / "d").stderr
+
+
+def test_arrays_of_depth_and_poses_of_any_name_are_known_by_their_content(tmp_path: Path) -> None:
+    write_dump(tmp_path, color="farbe/{}.png", depth="", pose="")
+    (tmp_path / "tiefe").mkdir()
+    for i in range(3):
+        np.save(tmp_path / f"tiefe/{i}.npy", np.ones((60, 80), np.float32))
+    (tmp_path / "wo.txt").write_text("".join(f"{i} 1 2 3 0 0.6 0.8 0\n" for i in range(3)))
+    (tmp_path / "joints.txt").write_text("1 2 3 4 5 6 7\n" * 3)
+    guess = guess_at(tmp_path)
+    assert guess.format == "frames"
+    assert guess.options == {"color": "farbe/*.png", "depth": "tiefe/*.npy", "pose": "wo.txt"}
+
+
+@pytest.mark.parametrize("rows", [7, 8, 12, 13, 16, 17])
+def test_rigid_lines_are_told_from_other_numbers(rows: int) -> None:
+    pose = [1, 2, 3, 0, 0.6, 0, 0.8] if rows < 9 else [0, -1, 0, 5, 1, 0, 0, 6, 0, 0, 1, 7, 0, 0, 0, 1][: rows // 4 * 4]
+    line = " ".join(map(str, [9.5] * (rows - len(pose)) + pose))
+    assert is_rigid_lines(f"{line}\n{line}\n{line}\n".encode())
+    assert not is_rigid_lines(f"{line}\n{line}\n".encode())
+    assert not is_rigid_lines(f"{line} 1 1\n".encode() * 3)
+    assert not is_rigid_lines(f"{line}\n".encode().replace(b"0.6", b"0.7").replace(b"-1", b"-2") * 3)
+
+
+def test_cameras_in_folders_of_their_own_are_read_together(tmp_path: Path) -> None:
+    for name in ("wrist", "top"):
+        write_dump(tmp_path / name, color="rgb_{}.png", depth="depth_{}.png", pose="")
+        (tmp_path / name / "K.txt").write_text("20 21 7.5 5.5\n")
+    (tmp_path / "wrist/ee.txt").write_text("1 2 3 0 0 0 1\n" * 3)
+    np.savetxt(tmp_path / "top/ee.txt", np.eye(4))
+    np.savetxt(tmp_path / "wrist/hand_eye.txt", np.eye(4))
+    guess = guess_at(tmp_path)
+    assert guess.options == {
+        "camera": "top,wrist",
+        "color": "{camera}/rgb_*.png",
+        "depth": "{camera}/depth_*.png",
+        "pose": "{camera}/ee.txt",
+        "intrinsics": "{camera}/K.txt",
+    }
+    assert any("--gripper-from-camera 'wrist/hand_eye.txt'" in reason for reason in guess.reasons)
+    ran = auto(tmp_path, tmp_path / "d", "--yes", "--scene", "a")
+    assert ran.exit_code == 0, ran.output
+
+    (tmp_path / "top/ee.txt").write_text("1 2 3 0 0 0 1\n" * 3)
+    refused = auto(tmp_path, tmp_path / "d").stderr
+    assert (
+        "a folder of 2 recordings" in refused
+        and "cameras of one recording, `ingest frames` with --camera top,wrist" in refused
+    )
+    (tmp_path / "top/ee.txt").unlink()
+    assert "camera" not in guess_at(tmp_path).options
 
 
 def test_without_poses_they_are_found_from_the_images(tmp_path: Path) -> None:
