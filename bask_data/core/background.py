@@ -67,6 +67,10 @@ measured."""
 STRUCTURE_SHARE = 0.05
 """Least share of the surface above the support that a wall holds. Chosen, sensitivity not measured."""
 
+BESIDE = 0.3
+"""Metres around the seen support within which surface counts as standing beside it. Assumes a tabletop. Chosen,
+sensitivity not measured."""
+
 
 @dataclass(frozen=True)
 class Background:
@@ -172,6 +176,9 @@ def find_background(
                 surface.areas[floor],
                 settings.margin + wider,
             )
+        warnings += _beside_the_support(
+            surface, real & (heights > low) & (heights < high), over, floor, found, settings
+        )
     structure: list[Plane] = []
     if settings.support == "planes":
         for wall, is_wall in walls(
@@ -186,6 +193,38 @@ def find_background(
             structure.append(wall)
     feet = over & (heights <= min(low, HIGHEST_FOOT))
     return Background(over & (heights > low), feet, found, tuple(structure), low, warnings)
+
+
+def _beside_the_support(
+    surface: MeshVertices,
+    raised: Bool[ndarray, "n"],
+    over: Bool[ndarray, "n"],
+    floor: Bool[ndarray, "n"],
+    support: Plane,
+    settings: BackgroundSettings,
+) -> tuple[str, ...]:
+    """A warning if more surface stands beside the part of the support that was seen than above it.
+
+    Args:
+        raised: surface at the heights of objects.
+        over: surface above the footprint of the support.
+        floor: surface of the support.
+    """
+    near = raised & ~over
+    near[near] = above_footprint(
+        surface.points[near],
+        support.plane,
+        surface.points[floor],
+        surface.areas[floor],
+        settings.margin + BESIDE,
+    )
+    beside, above = float(surface.areas[near].sum()), float(surface.areas[raised & over].sum())
+    if not 0 < above < beside:
+        return ()
+    return (
+        f"{beside:.2g} m2 of surface stand beside the part of the support that was seen, {above:.2g} m2 above it: "
+        f"where objects hide the support's border, pass --margin {BESIDE:g}",
+    )
 
 
 def thickness(plane: Plane, voxel_size: float, most: float) -> float:

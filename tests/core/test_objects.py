@@ -153,6 +153,15 @@ def test_what_is_beside_the_table_or_far_above_it_is_background():
     assert len(result.instances) == 3
 
 
+def test_more_surface_beside_the_seen_table_than_on_it_is_told_with_a_margin_that_finds_it():
+    beside = (0.45, 0.0, (0.2, 0.2, 0.2))
+    vertices, triangles, _ = table([(0.0, 0.0, (0.06, 0.06, 0.06)), beside])
+    result = split(vertices, triangles)
+    assert len(result.instances) == 1 and "pass --margin 0.3" in " ".join(result.warnings)
+    wider = split(vertices, triangles, margin=0.3)
+    assert len(wider.instances) == 2 and not any("--margin" in text for text in wider.warnings)
+
+
 def test_no_more_than_255_instances():
     row = [block(0.03 * i, 0.03 * j, (0.01, 0.01, 0.01), 0.01) for i in range(20) for j in range(14)]
     small_vertices, small_triangles, _ = joined(row)
