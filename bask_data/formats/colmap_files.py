@@ -13,6 +13,9 @@ from bask_data.formats.files import Folder, listed, natural
 IMAGE_FOLDERS = ("images", "color", "rgb", "input")
 """Folders in which images are looked for; COLMAP leaves the name open, and most tools write `images`."""
 
+MODEL_PLACES = ("sparse", "colmap/sparse", "distorted/sparse", "dslr/colmap", "model", "colmap", ".", "sparse_txt")
+"""Folders in which models are looked for, and in their folders 0, 1 and so on."""
+
 SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm")
 """Endings of images that we decode."""
 

@@ -17,13 +17,11 @@ from numpy import ndarray
 from bask_data.core.lens import Distortion, Lens
 from bask_data.errors import BadData
 from bask_data.formats.colmap_entries import check_entries
+from bask_data.formats.colmap_files import MODEL_PLACES
 from bask_data.formats.files import Folder, listed, natural
 
 MODEL_FILES = ("cameras", "images", "points3D", "rigs", "frames")
 """Files of a model, `.bin` or `.txt`; the last two since COLMAP 3.12, and only where it wrote them."""
-
-PLACES = ("sparse", "colmap/sparse", "distorted/sparse", "dslr/colmap", "model", "colmap", ".", "sparse_txt")
-"""Folders in which models are looked for, and in their folders 0, 1 and so on."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +73,9 @@ def model_folders(folder: Folder, place: str) -> tuple[str, ...]:
     """Folders of the models in a source, relative to it; empty if there is none.
 
     Args:
-        place: where to look; empty: in `PLACES`.
+        place: where to look; empty: in `MODEL_PLACES`.
     """
-    for candidate in [place] if place else PLACES:
+    for candidate in [place] if place else MODEL_PLACES:
         if _is_model(folder, candidate):
             return (candidate,)
         numbered = sorted(

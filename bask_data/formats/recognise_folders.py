@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Callable, Mapping
 
+from bask_data.formats.colmap_files import MODEL_PLACES
 from bask_data.formats.file_patterns import words_of
 from bask_data.formats.guess import Guess
 from bask_data.formats.listing import Listing
@@ -14,9 +15,6 @@ from bask_data.formats.recognise_frames import K_PLACEHOLDER, find_calibration, 
 
 INFO_BYTES = 4 * 2**20
 """Bytes read of a LeRobot dataset's `meta/info.json`, which lists all its features."""
-
-COLMAP_PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "dslr/colmap", "sparse_txt/0", "model", "")
-"""Where COLMAP's models lie."""
 
 
 def _tum(listing: Listing) -> Guess | None:
@@ -173,10 +171,11 @@ def _robomimic(listing: Listing) -> Guess | None:
 
 
 def _colmap(listing: Listing) -> Guess | None:
-    places = [place for place in COLMAP_PLACES if _is_model(listing, place)]
+    folders = [folder for place in MODEL_PLACES for folder in (place, f"{place}/0")]
+    places = [folder for folder in folders if _is_model(listing, folder)]
     if not places:
         return None
-    return Guess("colmap", listing.root, (f"COLMAP's model in {places[0] or './'}: cameras and images",))
+    return Guess("colmap", listing.root, (f"COLMAP's model in {places[0]}: cameras and images",))
 
 
 def _is_model(listing: Listing, place: str) -> bool:

@@ -239,6 +239,16 @@ def test_what_is_missing_is_named(tmp_path: Path, parts: dict[str, str], got: st
     assert refused.exit_code == 2 and got in refused.stderr and fix in refused.stderr
 
 
+def test_a_folder_beside_a_recording_is_not_a_part_of_it(tmp_path: Path) -> None:
+    for name in ("task/variation0/episodes/episode0/low_dim_obs.pkl", "images/a.png", "scene/scene_camera.json"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_bytes(b"x")
+    assert "a part of a recording" not in recognise(tmp_path / "images").got
+    assert recognise(tmp_path / "task/variation0/episodes/episode0").guesses
+    (tmp_path / "scene/masks").mkdir()
+    assert recognise(tmp_path / "scene/masks").got == "a part of a recording: the folder above is bop's"
+
+
 def test_archives_and_other_files_are_named(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "scan.zip", "w") as archive:
         archive.writestr("rgb/0.png", b"")
