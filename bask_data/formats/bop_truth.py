@@ -15,12 +15,10 @@ from bask_data.errors import BadData
 from bask_data.formats.files import Folder, listed
 from bask_data.formats.images import read_labels
 from bask_data.formats.json_values import read_json
+from bask_data.formats.label_files import LARGEST_LABEL
 from bask_data.formats.object_poses import static_poses
 from bask_data.formats.poses import ROUNDED_TOLERANCE
 from bask_data.formats.recording import ObjectPose
-
-LARGEST_LABEL = 254
-"""Largest label of an object: 0 is the background, and 255 is kept for robots."""
 
 SAME_INSTANCE = 0.05
 """Largest distance, metres, between the origins of an object in two frames that makes them one instance, where a frame

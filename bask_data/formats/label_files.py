@@ -15,6 +15,9 @@ from bask_data.formats.images import read_labels
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.recording import SourceCamera, SourceRecording
 
+LARGEST_LABEL, ROBOT = 254, 255
+"""Largest label of an object, and the label of a robot, which evaluation leaves out; 0 is the background."""
+
 
 def with_labels(source: Path, recording: SourceRecording, options: SourceOptions) -> SourceRecording:
     """The recording with the label images that `--labels` names, if any, as its ground truth.
@@ -24,7 +27,7 @@ def with_labels(source: Path, recording: SourceRecording, options: SourceOptions
 
     Raises:
         UsageError: there are several cameras, and the pattern does not say which one is labelled.
-        BadData: a frame has no label image.
+        BadData: a frame has no label image, or there is no label but the robot's.
     """
     if not options.labels:
         return recording
@@ -35,10 +38,20 @@ def with_labels(source: Path, recording: SourceRecording, options: SourceOptions
     folder = Folder(source if source.is_dir() else source.parent, options.follow_links)
     files = {camera.name: _files_of(folder, camera, options.labels) for camera in recording.cameras}
     paths = [path for found in files.values() for path in found]
+    present = labels_in(paths)
+    if present == [ROBOT]:
+        raise BadData(
+            folder.path,
+            "--labels",
+            expected=f"a number from 1 to {LARGEST_LABEL} for each object, and {ROBOT} for the robot only",
+            got=f"{ROBOT} alone, as binary masks have it",
+            fix="save the masks with another number than 255, such as 1.",
+        )
+    named = {ROBOT: "robot"} | recording.label_names
     return replace(
         recording,
         cameras=tuple(_labelled(camera, files[camera.name]) for camera in recording.cameras),
-        label_names={label: recording.label_names.get(label, f"label {label}") for label in labels_in(paths)},
+        label_names={label: named.get(label, f"label {label}") for label in present},
         assumptions={**recording.assumptions, "labels": f"{options.labels}, taken as truth for reports only"},
         files=(*recording.files, *paths),
     )

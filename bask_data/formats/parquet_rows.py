@@ -26,6 +26,9 @@ MAX_ROW = 100_000
 MAX_NUMBERS = 500_000_000
 """Most numbers of a column that is read as a whole: 4 GB as float64."""
 
+TEXTS_AT_ONCE = 16
+"""Rows of texts that are decoded at a time."""
+
 BUFFER = 2**20
 """Bytes of a column that are read from the file at a time."""
 
@@ -82,7 +85,8 @@ class ParquetRows:
     def values(self, column: str, rows: range | None = None) -> list[Any]:
         """A column as Python values: texts, lists of texts."""
         rows = range(self.n_rows) if rows is None else rows
-        return [value for _, array in self.batches(column, rows, 1024) for value in array.to_pylist()]
+        # A text of one row may be as long as the file, and stand in every row.
+        return [value for _, array in self.batches(column, rows, TEXTS_AT_ONCE) for value in array.to_pylist()]
 
     def index(self, column: str) -> int:
         """Number of a column; `BadData` if there is not exactly one of this name."""

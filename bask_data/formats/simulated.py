@@ -11,9 +11,7 @@ from numpy import ndarray
 
 from bask_data.core.lens import one_if_same
 from bask_data.errors import BadData, UsageError
-
-MAX_LABEL = 255
-"""Largest label of ground truth, which is stored in 8 bits."""
+from bask_data.formats.label_files import LARGEST_LABEL
 
 CENTRE_TOLERANCE = 1e-3
 """Pixels by which a principal point may differ from the image's exact middle: rounding of float32, nothing more."""
@@ -59,8 +57,8 @@ def object_labels(text: str) -> dict[int, tuple[int, str]]:
             expected, fix = "NUMBER=NAME,NUMBER=NAME", "for instance --objects 84=lid,85=lid,90=pan"
             raise UsageError("--objects", expected=expected, got=part, fix=fix)
         objects[int(number)] = (labels.setdefault(name, len(labels) + 1), name)
-    if len(labels) > MAX_LABEL:
-        raise UsageError("--objects", expected=f"at most {MAX_LABEL} names", got=len(labels))
+    if len(labels) > LARGEST_LABEL:
+        raise UsageError("--objects", expected=f"at most {LARGEST_LABEL} names", got=len(labels))
     return objects
 
 
@@ -86,7 +84,7 @@ def labelled(
     return read
 
 
-def chosen_cameras(source: Path, wanted: str, usable: Sequence[str], reasons: dict[str, str]) -> list[str]:
+def chosen_cameras(source: Path, wanted: Sequence[str], usable: Sequence[str], reasons: dict[str, str]) -> list[str]:
     """The cameras that `--cameras` names; by default all that can be used.
 
     Args:
@@ -96,7 +94,7 @@ def chosen_cameras(source: Path, wanted: str, usable: Sequence[str], reasons: di
         UsageError: a name is unknown.
         BadData: a camera that is named, or every one, cannot be used.
     """
-    names = [name.strip() for name in wanted.split(",")] if wanted else list(usable)
+    names = list(wanted or usable)
     for name in names:
         if name in reasons:
             raise BadData(source, f"camera {name}", expected="colour, depth and calibration", got=reasons[name])

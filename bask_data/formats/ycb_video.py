@@ -15,10 +15,10 @@ from numpy import ndarray
 from bask_data.core.geometry import rigid_fault
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData
-from bask_data.formats.bop_truth import LARGEST_LABEL
 from bask_data.formats.files import Folder, frame_number, listed, paired
 from bask_data.formats.images import image_header, read_color, read_labels
 from bask_data.formats.intrinsics import intrinsics_matrix
+from bask_data.formats.label_files import LARGEST_LABEL
 from bask_data.formats.matlab import read_arrays
 from bask_data.formats.object_poses import static_poses
 from bask_data.formats.options.bop import BopOptions

@@ -91,7 +91,7 @@ def test_trajectories_and_cameras_are_chosen(tmp_path: Path) -> None:
     assert MANISKILL.episodes(source, ManiskillOptions())[9:] == ("traj_9", "traj_10")
     with pytest.raises(UsageError, match="--episode: expected one of traj_0, .*, got none, but the source holds 11"):
         read(source)
-    recording = read(source, episode="10", cameras="hand_camera")
+    recording = read(source, episode="10", cameras=("hand_camera",))
     assert [camera.name for camera in recording.cameras] == ["hand_camera"]
     np.testing.assert_allclose(recording.robot.action[0], ACTIONS[0] + 10)  # type: ignore[union-attr, index]
     assert [camera.name for camera in read(source, episode="traj_3").cameras] == ["base_camera", "hand_camera"]

@@ -205,6 +205,20 @@ def test_labels_of_any_format_are_found_by_the_frames_names_or_numbers(tmp_path:
         prepare(source_camera(), tmp_path, labels="truth/label_*.png")
 
 
+def test_binary_masks_are_not_taken_for_a_robot(tmp_path: Path) -> None:
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    for value, message in ((255, "--labels: expected a number from 1 to 254.* got 255 alone, as binary"), (3, "")):
+        mask[3:5] = value
+        for i in range(4):
+            write_image(tmp_path / f"m{i}.png", mask)
+        if message:
+            with pytest.raises(BadData, match=message):
+                prepare(source_camera(), tmp_path, labels="m*.png")
+    mask[0] = 255
+    write_image(tmp_path / "m2.png", mask)
+    assert prepare(source_camera(), tmp_path, labels="m*.png").label_names == {3: "label 3", 255: "robot"}
+
+
 @pytest.mark.parametrize("time", [[0.0, 0.0, 1, 2], [1.0, 0.5, 2, 3], [0.0, float("nan"), 1, 2]])
 def test_time_that_does_not_increase_is_refused(time: list[float]) -> None:
     with pytest.raises(BadData, match="time of frame f001: expected finite times that increase with the frames"):

@@ -128,15 +128,21 @@ def test_cameras_that_lack_something_are_left_out_and_named(tmp_path: Path, clas
     missing = "no depth, misc overhead_camera_extrinsics, misc overhead_camera_intrinsics"
     assert recording.assumptions["cameras"].startswith(f"wrist; left out: front (no depth), overhead ({missing}")
     with pytest.raises(BadData, match="camera front: expected colour, depth and calibration, got no depth"):
-        read(tmp_path, cameras="front")
+        read(tmp_path, cameras=("front",))
     with pytest.raises(UsageError, match="--cameras: expected names among wrist, front, overhead, got elbow"):
-        read(tmp_path, cameras="wrist,elbow")
+        read(
+            tmp_path,
+            cameras=(
+                "wrist",
+                "elbow",
+            ),
+        )
 
 
 def test_several_cameras_are_read_and_chosen(tmp_path: Path, classes: dict[str, type]) -> None:
     write_episode(tmp_path, classes, ("wrist", "front"))
     assert [camera.name for camera in read(tmp_path).cameras] == ["front", "wrist"]
-    [front] = read(tmp_path, cameras="front").cameras
+    [front] = read(tmp_path, cameras=("front",)).cameras
     np.testing.assert_allclose(front.world_from_cameras, POSES["f"], atol=1e-12)
 
 

@@ -86,7 +86,7 @@ def test_extrinsics_of_a_fixed_camera_are_its_pose(tmp_path: Path) -> None:
     recording = read(written(tmp_path / "a.hdf5", ("agentview", HAND)))
     assert [camera.name for camera in recording.cameras] == ["agentview", HAND]
     np.testing.assert_allclose(recording.cameras[0].world_from_cameras, np.tile(FIXED, (N, 1, 1)), atol=1e-12)
-    assert [camera.name for camera in read(tmp_path / "a.hdf5", cameras="agentview").cameras] == ["agentview"]
+    assert [camera.name for camera in read(tmp_path / "a.hdf5", cameras=("agentview",)).cameras] == ["agentview"]
 
 
 def test_extrinsics_may_be_the_cameras_pose_in_the_gripper(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ class LerobotOptions(EpisodeOptions, PoseOptions):
     """An episode of a LeRobot dataset."""
 
     cameras: tuple[str, ...] = Field(
-        (), description="Cameras to read: wrist,front. All that have depth by default; the others are named."
+        (), description="Cameras to read: wrist,front. All with colour and depth by default; the others are named."
     )
     depth: str = Field(
         "",

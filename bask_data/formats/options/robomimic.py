@@ -12,8 +12,8 @@ from bask_data.formats.options.common import EpisodeOptions, Text
 class RobomimicOptions(EpisodeOptions):
     """A demonstration in a robomimic HDF5 file with images and depth."""
 
-    cameras: str = Field(
-        "", description="Cameras to read, separated by commas. [default: all with colour, depth and calibration]"
+    cameras: tuple[str, ...] = Field(
+        (), description="Cameras to read: agentview,wrist. All with colour, depth and calibration by default."
     )
     fps: FiniteFloat = Field(
         20.0, gt=0, description="Frames per second, where the file states none: time is frame number / fps."

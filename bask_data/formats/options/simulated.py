@@ -10,8 +10,8 @@ from bask_data.formats.options.common import EpisodeOptions, Text
 class SimulatedOptions(EpisodeOptions):
     """A simulator's recordings: several cameras, episodes, and images of object numbers."""
 
-    cameras: str = Field(
-        "", description="Cameras to read, separated by commas. [default: all with colour, depth and calibration]"
+    cameras: tuple[str, ...] = Field(
+        (), description="Cameras to read: agentview,wrist. All with colour, depth and calibration by default."
     )
     fps: FiniteFloat = Field(
         20.0, gt=0, description="Frames per second, where the files state none: time is frame number / fps."
