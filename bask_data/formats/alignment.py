@@ -132,7 +132,9 @@ class AlignedFrames:
                 f"size of {what}",
                 expected=f"{lens.size[1]} x {lens.size[0]}",
                 got=f"{image.shape[1]} x {image.shape[0]}",
-                fix=SIZE_FIX if what == "depth" else "images of one recording must have one size.",
+                fix=SIZE_FIX
+                if what == "depth"
+                else f"resize them: {what} must have the size of the images they belong to.",
             )
         return image
 

@@ -38,7 +38,13 @@ class Folder:
         """The regular file at `relative`; `BadData` for `..`, absolute paths and links that lead out."""
         pure = PurePosixPath(relative)
         if pure.is_absolute() or ".." in pure.parts:
-            raise BadData(self.path, field, expected="a path inside the source folder", got=repr(relative))
+            raise BadData(
+                self.path,
+                field,
+                expected="a path inside the source folder",
+                got=repr(relative),
+                fix="copy the file into SOURCE, and name it relative to that.",
+            )
         path = self.path / pure
         if not self.has(relative) or not path.exists():
             broken = self.has(relative)
@@ -60,7 +66,7 @@ class Folder:
                 fix="pass --follow-links if the links are your own (DVC, git-annex, another disc), or copy the files.",
             )
         if not stat.S_ISREG(path.stat().st_mode):
-            raise BadData(path, field, expected="a regular file", got="something else")
+            raise BadData(path, field, expected="a regular file", got="a folder, pipe or device", fix="check SOURCE.")
         return path
 
     def has(self, relative: str) -> bool:

@@ -152,7 +152,13 @@ def check_depth(path: Path | str, header: ImageHeader) -> None:
 def check_labels(path: Path | str, header: ImageHeader) -> None:
     """Refuse anything but one channel of 8 bits, as palettes decode to colours; `BadData`."""
     if (header.bits, header.channels) != (8, 1):
-        raise BadData(path, "labels", expected="one channel of 8 bits", got=f"{header.channels} of {header.bits}")
+        raise BadData(
+            path,
+            "labels",
+            expected="one channel of 8 bits",
+            got=f"{header.channels} of {header.bits}",
+            fix="write the instances' numbers as grey values, 0 for background: colours of classes are not read.",
+        )
 
 
 def decode(path: Path | str, data: bytes, header: ImageHeader, flags: int) -> ndarray:

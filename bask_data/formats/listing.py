@@ -42,7 +42,10 @@ class Listing:
     def has_folder(self, relative: str) -> bool:
         """Whether there is a folder at a path, not behind a link that leads out."""
         path = self.root / relative
-        return path.is_dir() and path.resolve().is_relative_to(self.root.resolve())
+        try:
+            return path.is_dir() and path.resolve().is_relative_to(self.root.resolve())
+        except OSError:  # In a folder that may not be entered, as lost+found.
+            return False
 
     def head(self, relative: str, n_bytes: int = HEAD_BYTES) -> bytes:
         """The first bytes of a file; empty for one that cannot be read, is no regular file, or lies outside."""

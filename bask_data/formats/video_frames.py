@@ -216,5 +216,5 @@ class VideoFrames:
         self._next = 0
 
     def _unreadable(self, expected: str, got: object) -> BadData:
-        text = str(got).replace(str(self.path), self.path.name)[:200]
+        text = str(got).replace(str(self.path.absolute()), self.path.name)[:200]
         return BadData(self.path, "video", expected=expected, got=text, fix="copy it again from its source.")

@@ -193,6 +193,14 @@ def test_depth_of_little_confidence_is_left_out_on_request() -> None:
         prepare(source_camera(), confidence=1)
 
 
+def test_labels_of_another_size_are_refused(tmp_path: Path) -> None:
+    for i in range(4):
+        write_image(tmp_path / f"label_{i}.png", np.zeros((HEIGHT // 2, WIDTH), np.uint8))
+    result = prepare(source_camera(), tmp_path, labels="label_*.png")
+    with pytest.raises(BadData, match="size of labels: .*resize them: labels must have the size of the images"):
+        result.cameras[0].labels(0)
+
+
 def test_labels_of_any_format_are_found_by_the_frames_names_or_numbers(tmp_path: Path) -> None:
     for i in range(4):
         write_image(tmp_path / "truth" / f"label_{i}.png", np.full((HEIGHT, WIDTH), i, np.uint8))

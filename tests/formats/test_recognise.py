@@ -263,6 +263,22 @@ def test_archives_and_other_files_are_named(tmp_path: Path) -> None:
     assert refused.exit_code == 2 and "an empty folder" in refused.stderr and "docs/formats.md" in refused.stderr
 
 
+def test_a_folder_that_may_not_be_entered_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_dump(tmp_path)
+    (tmp_path / "lost+found").mkdir()
+    is_dir = Path.is_dir
+
+    def denied(path: Path, *, follow_symlinks: bool = True) -> bool:
+        if "lost+found" in path.parts and path.name != "lost+found":
+            raise PermissionError(13, "Permission denied", str(path))
+        return is_dir(path)
+
+    # Tests may run as root, whom no folder refuses.
+    monkeypatch.setattr(Path, "is_dir", denied)
+    assert not Listing(tmp_path).has_folder("lost+found/intrinsic")
+    assert guess_at(tmp_path).format == "frames"
+
+
 def test_hidden_files_and_links_out_are_not_looked_at(tmp_path: Path) -> None:
     write_frames(tmp_path / "elsewhere", POSES)
     write_dump(tmp_path / "s")

@@ -97,7 +97,9 @@ def test_colour_without_a_plane_of_brightness_has_no_grey_values(tmp_path: Path)
 def test_a_list_of_files_named_as_a_video_leads_nowhere(tmp_path: Path) -> None:
     write_steps(tmp_path / "secret.mp4", 2)
     (tmp_path / "rgb.mp4").write_text("ffconcat version 1.0\nfile secret.mp4\n")
-    with pytest.raises(BadData, match=r"rgb\.mp4: video: expected a video in mp4, mov, mkv or webm"):
+    with pytest.raises(
+        BadData, match=r"rgb\.mp4: video: expected a video in mp4, mov, mkv or webm, got [^/]*'rgb\.mp4'"
+    ):
         video(tmp_path / "rgb.mp4")
 
 
