@@ -83,7 +83,10 @@ class AlignedFrames:
         color = undistorted(self._checked("colour", i, self.camera.color(i), self.camera.lens), self._maps(lens))
         if self.to == "depth":
             depth_lens = (self.camera.depth_lens or self.camera.lens).at(i)
-            color = color_at_depth_size(color, lens.K, depth_lens.K, depth_lens.size)
+            try:
+                color = color_at_depth_size(color, lens.K, depth_lens.K, depth_lens.size)
+            except ValueError as error:
+                raise BadData(self.camera.name, "lens", got=str(error), fix="pass --align color.") from error
         return color
 
     def read_depth(self, k: int) -> UInt16[ndarray, "h w"]:

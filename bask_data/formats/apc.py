@@ -19,7 +19,8 @@ from numpy import ndarray
 from bask_data.core.geometry import invert_rigid
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData
-from bask_data.formats.files import Folder, frame_number, numbers, paired, read_bytes, source_folder
+from bask_data.formats.clock import counted
+from bask_data.formats.files import Folder, numbers, paired, read_bytes, source_folder
 from bask_data.formats.image_files import ImageFiles
 from bask_data.formats.intrinsics import parse_intrinsics
 from bask_data.formats.label_files import labels_in
@@ -59,13 +60,13 @@ def read(source: Path, options: ApcOptions) -> SourceRecording:
     )
     images = ImageFiles(color, depth, label, rotated_depth=True)
     poses, pose_files = _object_poses(folder, rig, options.world)
-    time = np.array([frame_number(name) for name in names], dtype=np.float64) / options.fps
+    clock = counted(names, options.fps)
     camera = SourceCamera(
         name=options.camera,
         frames=tuple(names),
         lens=Lens(rig.K, images.size),
         world_from_cameras=world_from_cameras,
-        time=time,
+        time=clock.time,
         color=images.read_color,
         depth=images.read_depth,
         depth_scale=DEPTH_SCALE,
@@ -82,7 +83,7 @@ def read(source: Path, options: ApcOptions) -> SourceRecording:
             "pose": "files hold world_from_camera, metres, OpenCV axes; rounding in the text taken out",
             "depth": "z-depth registered to colour, bits rotated back, 0.0001 m per unit, 0 = no measurement",
             "intrinsics": "the colour camera's, for colour and depth alike, no lens distortion",
-            "time": f"frame number / {options.fps:g} per second: the files state none",
+            "time": f"{clock.statement}: the files state none",
             "labels": f"{labels}, taken as truth for reports only" if labels else "none found",
         },
         files=(*images.files, *rig.files, *pose_files),

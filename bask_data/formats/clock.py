@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +13,7 @@ from jaxtyping import Float, Integer
 from numpy import ndarray
 
 from bask_data.errors import BadData
+from bask_data.formats.files import frame_number
 
 TimeUnit = Literal["auto", "s", "ms", "us", "ns"]
 """Values of the option `--time-unit`."""
@@ -36,6 +38,9 @@ keyframes, or 3 to 10 ms at 100 to 333 frames per second. Chosen, sensitivity no
 
 LONGEST_GAP = 3600.0
 """Longest interval of a recording, seconds. Chosen, sensitivity not measured."""
+
+LARGEST_COUNT = 10**8
+"""Number in a name from which on it is no count of frames, but a date or a time: 38 days at 30 per second."""
 
 NO_OPTION = "write the times in seconds"
 """What to do about a unit that no option states."""
@@ -108,6 +113,21 @@ def seconds(
     origin = " since 1970" if _dated(stamps) == taken else ""
     given = f" ({option} {unit})" if option and unit != "auto" else ""
     return Clock(time, f"{TIME_NAMES[taken]}{origin}, from {source}{given}")
+
+
+def counted(names: Sequence[str], fps: float) -> Clock:
+    """Times of frames that only their number tells: the last one in each name or, unless these increase and are counts,
+    the frame's place.
+
+    Args:
+        names: of the frames, in their order.
+    """
+    numbers = [frame_number(name) for name in names]
+    known = [number for number in numbers if number is not None]
+    # Dates and nanoseconds are no counts of frames.
+    if len(known) == len(names) and all(a < b for a, b in pairwise(known)) and max(known, default=0) < LARGEST_COUNT:
+        return Clock(np.array(known, dtype=np.float64) / fps, f"frame number / {fps:g} per second")
+    return Clock(np.arange(len(names)) / fps, f"place in the sorted list of frames / {fps:g} per second")
 
 
 def _recognised(stamps: ndarray, where: Path | str, instead: str, option: str) -> str:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray
 
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData, UsageError
+from bask_data.formats.clock import counted
 from bask_data.formats.colmap_files import found_images
 from bask_data.formats.colmap_known import known_poses
 from bask_data.formats.colmap_model import SparseModel, model_folders, read_model
 from bask_data.formats.colmap_poses import ColmapSource, completed
 from bask_data.formats.depth_files import SCALE_OF_FLOAT, SCALE_OF_WHOLE_NUMBERS
-from bask_data.formats.files import Folder, frame_number, listed, natural, source_folder
+from bask_data.formats.files import Folder, listed, natural, source_folder
 from bask_data.formats.image_files import ImageFiles
 from bask_data.formats.images import image_header
 from bask_data.formats.intrinsics import check_intrinsics, parse_intrinsics
@@ -47,13 +45,13 @@ def read(source: Path, options: ColmapOptions) -> SourceRecording:
     invalid = tuple(int(word) for word in options.invalid_depth.split(",") if word)
     files = ImageFiles(tuple(color), tuple(depth), invalid_depth=invalid)
     depth_scale = options.depth_scale or (SCALE_OF_FLOAT if files.is_float else SCALE_OF_WHOLE_NUMBERS)
-    time, clock = _time(names, options.fps)
+    clock = counted([PurePosixPath(name).stem for name in names], options.fps)
     camera = SourceCamera(
         name=options.camera,
         frames=tuple(names),
         lens=lens or Lens(np.eye(3), (0, 0)),
         world_from_cameras=np.full((len(names), 4, 4), np.nan),
-        time=time,
+        time=clock.time,
         color=files.read_color,
         depth=files.read_depth,
         depth_scale=depth_scale,
@@ -63,7 +61,7 @@ def read(source: Path, options: ColmapOptions) -> SourceRecording:
     assumptions |= {
         "camera axes": "x right, y down, z forward",
         "depth": f"z-depth registered to colour, {depth_scale:g} m per unit, 0 = no measurement",
-        "time": clock,
+        "time": clock.statement,
     }
     at_hand = ColmapSource(source, options, tuple(color), model, lens, known)
     return SourceRecording(
@@ -148,13 +146,3 @@ def _given_lens(
     check_intrinsics(options.camera, K, (header.height, header.width), options.intrinsics_size)
     distortion = parse_distortion(options.distortion) if options.distortion else None
     return Lens(K, (header.height, header.width), distortion), files
-
-
-def _time(names: list[str], fps: float) -> tuple[Float[ndarray, " t"], str]:
-    """Times of the images, seconds, and where they are from."""
-    counted = [frame_number(PurePosixPath(name).stem) for name in names]
-    known = [number for number in counted if number is not None]
-    # Numbers such as IMG_20240131_1 or nanoseconds are no counts of frames.
-    if len(known) == len(names) and all(a < b for a, b in pairwise(known)) and known[-1] < 10**8:
-        return np.array(known, dtype=np.float64) / fps, f"number in the image's name / {fps:g} per second"
-    return np.arange(len(names)) / fps, f"place in the sorted list of images / {fps:g} per second"

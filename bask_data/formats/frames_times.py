@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from bask_data.errors import BadData
-from bask_data.formats.clock import seconds
-from bask_data.formats.files import Folder, frame_number, is_number, numbered_lines, numbers
+from bask_data.formats.clock import counted, seconds
+from bask_data.formats.files import Folder, is_number, numbered_lines, numbers
 from bask_data.formats.options.frames import FramesOptions
 from bask_data.formats.trajectory_files import stamps_of
 
@@ -74,13 +72,8 @@ def frame_times(folder: Folder, names: list[str], options: FramesOptions) -> Fra
         stamps = stamps_of([line.strip(" ,;") for _, line in lines])
         clock = seconds(stamps, path, [i for i, _ in lines], unit=options.time_unit, instead=instead)
         return FrameTimes(clock.time, clock.statement, (path,), stated=True)
-    found = [frame_number(name) for name in names]
-    known = [number for number in found if number is not None]
-    if len(known) == len(names) and all(a < b for a, b in pairwise(known)):
-        return FrameTimes(np.array(known, dtype=np.float64) / options.fps, f"frame number / {options.fps:g} per second")
-    return FrameTimes(
-        np.arange(len(names)) / options.fps, f"place in the sorted list of frames / {options.fps:g} per second"
-    )
+    clock = counted(names, options.fps)
+    return FrameTimes(clock.time, clock.statement)
 
 
 def _stamps_of_names(source: Path, names: list[str]) -> ndarray:

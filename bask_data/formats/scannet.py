@@ -15,7 +15,8 @@ from numpy import ndarray
 from bask_data.core.geometry import invert_rigid
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData, UsageError
-from bask_data.formats.files import Folder, frame_number, listed, paired
+from bask_data.formats.clock import counted
+from bask_data.formats.files import Folder, listed, paired
 from bask_data.formats.images import image_header, read_color, read_depth
 from bask_data.formats.options.scannet import ScannetOptions
 from bask_data.formats.poses import read_transforms
@@ -78,13 +79,14 @@ def _of_files(folder: Folder, export: Export, options: ScannetOptions) -> Source
         for i, name in enumerate(names)
         if name in groups["pose"] and not np.isfinite(poses[i]).all()
     }
+    clock = counted(names, options.fps)
     header, depth_header = (image_header(next(iter(groups[kind].values()))) for kind in ("color", "depth"))
     camera = SourceCamera(
         name=options.camera,
         frames=tuple(names),
         lens=Lens(calibration.color_K, (header.height, header.width)),
         world_from_cameras=_of_color(poses, calibration.color_from_body),
-        time=_time(names, options.fps),
+        time=clock.time,
         color=lambda i: read_color(_file(color[i])),
         depth=lambda i: read_depth(_file(depth[i])),
         depth_scale=calibration.depth_scale,
@@ -100,7 +102,7 @@ def _of_files(folder: Folder, export: Export, options: ScannetOptions) -> Source
         robot=None,
         label_names=labels.names,
         assumptions=_assumptions(calibration.depth_scale, color_from_depth)
-        | {"time": f"frame number / {options.fps:g} per second: the files state none", "labels": labels.statement},
+        | {"time": f"{clock.statement}: the files state none", "labels": labels.statement},
         files=(
             *(file for group in groups.values() for file in group.values()),
             *calibration.files,
@@ -128,7 +130,7 @@ def _of_sens(folder: Folder, name: str, options: ScannetOptions) -> SourceRecord
         frames=tuple(names),
         lens=Lens(sens.color_K, sens.color_size),
         world_from_cameras=_of_color(sens.world_from_body, sens.color_from_body),
-        time=_time(names, options.fps) if time is None else time,
+        time=counted(names, options.fps).time if time is None else time,
         color=sens.color,
         depth=sens.depth,
         depth_scale=sens.depth_scale,
@@ -160,14 +162,6 @@ def _tracking_lost(where: str, got: str) -> BadData:
 def _file(path: Path | None) -> Path:
     assert path is not None, "frames without files are in `faults`, and are not read"
     return path
-
-
-def _time(names: list[str], fps: float) -> Float[ndarray, " t"]:
-    """Seconds by the frames' numbers, or by their order if names are no numbers."""
-    numbers = [frame_number(name) for name in names]
-    known = [number for number in numbers if number is not None]
-    increases = len(known) == len(names) and (np.diff(known) > 0).all()
-    return np.array(known if increases else range(len(names)), np.float64) / fps
 
 
 def _color_from_depth(

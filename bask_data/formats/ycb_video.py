@@ -15,7 +15,8 @@ from numpy import ndarray
 from bask_data.core.geometry import rigid_fault
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData
-from bask_data.formats.files import Folder, frame_number, listed, paired
+from bask_data.formats.clock import counted
+from bask_data.formats.files import Folder, listed, paired
 from bask_data.formats.images import image_header, read_color, read_labels
 from bask_data.formats.intrinsics import intrinsics_matrix
 from bask_data.formats.label_files import LARGEST_LABEL
@@ -85,9 +86,7 @@ def read_ycb_video(folder: Folder, prefix: str, options: BopOptions) -> SourceRe
     color, depth = ([groups[kind].get(name, folder.path) for name in names] for kind in ("color", "depth"))
     poses = np.stack([meta.world_from_camera if meta else np.full((4, 4), np.nan) for meta in seen])
     header = image_header(next(iter(groups["color"].values())))
-    numbers = [frame_number(name) for name in names]
-    known = [number for number in numbers if number is not None]
-    increase = len(known) == len(names) and bool((np.diff(known) > 0).all())
+    clock = counted(names, options.fps)
     labels, label_text = _labels(folder, prefix, names)
     depth_scale, read_depth_image = scaled_depth(depth, [1 / meta.units_per_metre if meta else None for meta in seen])
     object_poses, moving = _object_poses(seen)
@@ -98,7 +97,7 @@ def read_ycb_video(folder: Folder, prefix: str, options: BopOptions) -> SourceRe
         frames=tuple(names),
         lens=Lens(intrinsics_of([meta.K if meta else None for meta in seen]), (header.height, header.width)),
         world_from_cameras=poses,
-        time=np.array(known if increase else range(len(names)), np.float64) / options.fps,
+        time=clock.time,
         color=lambda i: read_color(color[i]),
         depth=read_depth_image,
         depth_scale=depth_scale,
@@ -115,7 +114,7 @@ def read_ycb_video(folder: Folder, prefix: str, options: BopOptions) -> SourceRe
             "world": "as in rotation_translation_matrix",
             "pose": "rotation_translation_matrix is camera_from_world, metres, OpenCV axes; inverted",
             **camera_assumptions(camera),
-            "time": f"frame number / {options.fps:g} per second: the files state none",
+            "time": f"{clock.statement}: the files state none",
             "labels": label_text,
         },
         files=(*(file for group in groups.values() for file in group.values()), *labels),

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bask_data.errors import BadData
-from bask_data.formats.clock import PER_SECOND, TIME_NAMES, TimeUnit, seconds
+from bask_data.formats.clock import PER_SECOND, TIME_NAMES, TimeUnit, counted, seconds
 
 TIMES = Path("recording/times.txt")
 NOVEMBER_2020 = 1_604_644_894
@@ -156,3 +156,19 @@ def test_a_pause_of_more_than_an_hour_is_refused_where_it_is() -> None:
 
 def test_no_stamps_are_no_times() -> None:
     assert seconds(np.zeros(0), TIMES).time.shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("names", "time", "statement"),
+    [
+        (["frame-3", "frame-5"], [0.3, 0.5], "frame number / 10"),
+        (["a", "b"], [0.0, 0.1], "place in the sorted list"),
+        (["9", "7"], [0.0, 0.1], "place in the sorted list"),
+        (["1700000000000000000", "1700000000033000000"], [0.0, 0.1], "place in the sorted list"),
+    ],
+)
+def test_frames_are_counted_by_their_numbers_if_these_are_counts(
+    names: list[str], time: list[float], statement: str
+) -> None:
+    clock = counted(names, 10.0)
+    assert clock.time.tolist() == time and clock.statement.startswith(statement)

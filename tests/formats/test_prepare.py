@@ -170,6 +170,15 @@ def test_depth_of_another_size_is_refused_unless_something_says_how_it_lies() ->
     assert np.array_equal(ready.read(1)[1], images(4)[1][1][::2, ::2])
 
 
+def test_colour_is_not_brought_to_depth_along_other_axes() -> None:
+    skewed = K.copy()
+    skewed[0, 1] = 1.0
+    camera = source_camera(depth_lens=Lens(skewed, (HEIGHT, WIDTH)))
+    with pytest.raises(BadData, match="c: lens: got intrinsics: expected the same skew.*fix: pass --align color"):
+        prepare(camera).cameras[0].read(0)
+    assert prepare(camera, align="color").cameras[0].read(0)[1].shape == (HEIGHT, WIDTH)
+
+
 def test_depth_in_metres_is_kept_in_tenths_of_a_millimetre_and_nan_is_none() -> None:
     metres = images(4)[1].astype(np.float32) / 1000
     metres[:, 0, 0] = (np.nan, np.inf, -np.inf, -1)
