@@ -8,6 +8,7 @@ from pydantic import Field, JsonValue, ValidationError
 
 from bask_data.formats import FORMATS
 from bask_data.formats.options.frames import FramesOptions
+from bask_data.formats.options.tum import TumOptions
 from bask_data.params import PATTERNS, Params, first_fault
 from bask_data.pipeline import STAGES
 from bask_data.sim.options import SimOptions
@@ -102,5 +103,5 @@ def test_every_pattern_of_an_option_has_plain_words(model: type[Params]) -> None
 )
 def test_text_of_the_wrong_form_is_reported_without_its_pattern(option: dict[str, str], expected: str) -> None:
     with pytest.raises(ValidationError) as caught:
-        FramesOptions.model_validate(option)
+        (TumOptions if "camera" in option else FramesOptions).model_validate(option)
     assert first_fault(caught.value)[1] == expected

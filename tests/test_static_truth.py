@@ -76,7 +76,7 @@ def camera() -> SimpleNamespace:
         n_frames=len(views),
         height=240,
         width=320,
-        K=K,
+        Ks=np.tile(K, (20, 1, 1)),
         world_from_cameras=np.stack(world_from_cameras),
         rgb=lambda i: views[i].rgb,
         depth=lambda i: views[i].depth.astype(np.float32),

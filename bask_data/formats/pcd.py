@@ -149,7 +149,8 @@ def _of_text(data: bytes, record: np.dtype, n_points: int) -> list[ndarray]:
         if name.split()[1] in COLORS and all(word.isdigit() for word in picked[0]):
             columns.append(np.array(picked, dtype=np.uint32).T.view(kind))
         else:
-            columns.append(np.array(picked, dtype=np.float64).T.astype(kind))
+            with np.errstate(invalid="ignore"):  # nan where the header says whole numbers
+                columns.append(np.array(picked, dtype=np.float64).T.astype(kind))
         begin += count
     return columns
 
