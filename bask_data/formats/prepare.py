@@ -5,6 +5,7 @@ Whatever is done or lost is stated in the assumptions of the result.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -32,6 +33,10 @@ from bask_data.formats.recording import (
     SourceRecording,
 )
 from bask_data.formats.registration import registration
+from bask_data.params import NAME, PATTERNS
+
+RESERVED = ("robot", "objects")
+"""What lies beside the cameras in a demonstration, and in ground truth."""
 
 FAR_ORIGIN = 1000.0
 """Metres from the origin at which the world is moved: float32, in which meshes and images are computed, has steps of
@@ -57,6 +62,7 @@ def prepared(
     Raises:
         BadData: frames cannot be used, and `options.skip_bad` is not set; or no two parts fit together.
     """
+    _check_names(source, recording)
     if recording.completed is not None:
         recording = recording.completed(recording)
     decoded = {each.name: (KeptFrames(each.color), KeptFrames(each.depth)) for each in recording.cameras}
@@ -108,6 +114,15 @@ def prepared(
         origin=(float(origin[0]), float(origin[1]), float(origin[2])),
         left_out={f"{fault.camera}/{fault.frame}": fault.reason for fault in bad},
     )
+
+
+def _check_names(source: Path, recording: SourceRecording) -> None:
+    """Refuse names of cameras that cannot be those of folders, or are those of what lies beside cameras; `BadData`."""
+    for camera in recording.cameras:
+        if not re.fullmatch(NAME, camera.name) or camera.name in RESERVED:
+            fix = "rename it in the source, or leave it out." if recording.cameras[1:] else "pass another --camera."
+            expected = f"{PATTERNS[NAME]}, and not {' or '.join(RESERVED)}"
+            raise BadData(source, "name of a camera", expected=expected, got=repr(camera.name[:80]), fix=fix)
 
 
 def _kept(

@@ -65,6 +65,12 @@ def test_frames_are_chosen_as_first_end_and_step(text: str, expected: list[int])
     assert np.allclose(ready.world_from_cameras, camera.world_from_cameras[expected], atol=1e-14)
 
 
+@pytest.mark.parametrize("name", ["../up", "a b", "", ".hidden", "robot", "objects"])
+def test_cameras_whose_names_are_no_folders_of_their_own_are_refused(name: str) -> None:
+    with pytest.raises(BadData, match="name of a camera: expected letters, digits"):
+        prepare(source_camera(name=name))
+
+
 def test_a_range_without_frames_is_refused() -> None:
     with pytest.raises(BadData, match="--frames: expected frames among 0 to 3, got 7:9"):
         prepare(source_camera(), frames="7:9")
