@@ -16,7 +16,7 @@ from numpy import ndarray
 from bask_data.core.geometry import invert_rigid, view_change
 from bask_data.core.warped_depth import DepthView, depth_view, evidence
 from bask_data.formats.recording import CameraRecording
-from bask_data.formats.verdict import STILL, Agreement
+from bask_data.formats.verdict import CLEAR_GAIN, STILL, Agreement
 
 GAPS = (1, 2, 4, 8, 16, 32, 64)
 """Distances between the frames of a pair: near ones overlap, far ones tell readings apart."""
@@ -36,6 +36,13 @@ MOVED_T = 2.0
 POOR_EVIDENCE = 0.25
 """Mean evidence below which depth and poses do not fit under a reading. Exact synthetic data have 0.86, hand-held
 recordings 0.5 to 0.7."""
+
+SCALED_EVIDENCE = 0.4
+"""Mean evidence below which poses are tried in other units, and which they must reach then. Sensitivity not
+measured."""
+
+SCALES = np.geomspace(1 / 32, 32, 350)
+"""Factors that distances between poses are tried with, 2 % apart, as far as depth of a frame must agree."""
 
 RESTING_EVIDENCE = 0.5
 """Mean evidence below which a camera whose poses are all the same may have moved. Sensitivity not measured."""
@@ -59,6 +66,7 @@ class _Reading:
 
     Args:
         options: the options for it, if there are any.
+        fix: what to do to the files if there are none.
         index: pose of each frame, among the poses.
     """
 
@@ -67,6 +75,7 @@ class _Reading:
     options: str = ""
     scale: float = 1.0
     is_ray: bool = False
+    fix: str = ""
 
 
 def agreement(
@@ -96,7 +105,10 @@ def agreement(
     readings = [given, *_others(camera, views, otherwise, scale_option, is_ray)]
     scores = np.stack([_scores(reading, views, pairs) for reading in readings])
     still = _scores(_Reading(STILL, np.tile(np.eye(4), (camera.n_frames, 1, 1))), views, pairs)
-    return _judged(readings, scores, still, _has_moved(camera, pairs))
+    judged = _judged(readings, scores, still, _has_moved(camera, pairs))
+    if judged.verdict == "fits" or judged.verdict == "other" or judged.share >= SCALED_EVIDENCE:
+        return judged
+    return _at_other_scale(judged, given, views, pairs, np.vstack([scores, still])) or judged
 
 
 def _others(
@@ -121,8 +133,36 @@ def _others(
     for factor in UNITS:
         if PLAUSIBLE_SCENE[0] <= median * factor <= PLAUSIBLE_SCENE[1]:
             option = f"{scale_option} {camera.depth_scale * factor:.6g}" if scale_option else ""
-            readings.append(_Reading(option or f"depth {factor:g} times as large", poses, option, scale=factor))
+            name = f"depth {factor:g} times as large"
+            fix = f"correct the unit of depth in the files: {name}"
+            readings.append(_Reading(option or name, poses, option, scale=factor, fix=fix))
     return readings
+
+
+def _at_other_scale(
+    judged: Agreement,
+    given: _Reading,
+    views: dict[int, DepthView],
+    pairs: list[tuple[int, int]],
+    scores: Float[ndarray, "r p"],
+) -> Agreement | None:
+    """Poses in another unit than metres, by any factor, as those of structure from motion; None if that fits no better.
+
+    Args:
+        scores: of all other readings, which it must beat clearly.
+    """
+    if len(pairs) < REFUSED_PAIRS:
+        return None
+    of_scale = np.stack([_scores(replace(given, scale=1 / factor), views, pairs) for factor in SCALES])
+    best = int(np.argmax(of_scale.mean(axis=1)))
+    share = float(of_scale[best].mean())
+    rival = float(scores.mean(axis=1).max())
+    is_clear = share >= max(SCALED_EVIDENCE, CLEAR_GAIN * rival)
+    if not is_clear or not all(_beats(of_scale[best], other, SURE_T, SURE_GAIN) for other in scores):
+        return None
+    better = f"distances between the poses {SCALES[best]:.3g} times as large"
+    fix = f"scale the positions of the poses to metres, by about {SCALES[best]:.3g}, or correct the unit of depth"
+    return Agreement(judged.share, judged.n_pairs, "other", better, share, fix=fix)
 
 
 def _at_rest(scores: Float[ndarray, " p"]) -> Agreement:
@@ -160,6 +200,7 @@ def _judged(
             better=reading.name,
             better_share=float(mean[best]),
             options=reading.options,
+            fix=reading.fix,
         )
     rivals = [name for name in unbeaten if name != readings[0].name]
     if best != 0:

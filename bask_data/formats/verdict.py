@@ -28,6 +28,7 @@ class Agreement:
             are all the same, but depth is not; `cannot tell`.
         better: the reading that fits better, in words or as options; for `other`.
         options: options that give the better reading, empty if there are none.
+        fix: what to do instead where no option gives it, but the files can be mended.
         rivals: what cannot be told from the given reading; for `cannot tell`.
     """
 
@@ -38,6 +39,7 @@ class Agreement:
     better_share: float = 0.0
     options: str = ""
     rivals: tuple[str, ...] = ()
+    fix: str = ""
 
     @property
     def text(self) -> str:
@@ -63,6 +65,8 @@ class Agreement:
             fix = f"pass {self.options}; --trust reads it as told."
             if self.better_share < min(GOOD_SHARE, CLEAR_GAIN * self.share):
                 fix = f"check the intrinsics first, as neither fits well. If they are right, {fix}"
+        elif self.verdict == "other" and self.fix:
+            fix = f"{self.fix}; --trust reads it as told."
         elif self.verdict == "nothing fits":
             fix = "check that poses, depth and intrinsics belong together, and depth's unit; --trust reads it as told."
         elif self.verdict == "moved":

@@ -110,6 +110,24 @@ def test_a_camera_that_does_not_move_tells_nothing() -> None:
     found.refuse(Path("src"), "c")
 
 
+@pytest.mark.parametrize("factor", [0.37, 2.2])
+def test_poses_of_no_metric_scale_are_refused_with_the_factor(factor: float) -> None:
+    poses = POSES.copy()
+    poses[:, :3, 3] *= factor
+    found = agreement(camera(poses), readings(poses))
+    assert found.verdict == "other" and is_doubtful(found.text)
+    with pytest.raises(BadData, match="scale the positions of the poses to metres") as refused:
+        found.refuse(Path("src"), "c")
+    assert float(str(refused.value).split("by about ")[1].split(",")[0]) == pytest.approx(1 / factor, rel=0.03)
+
+
+def test_a_unit_of_depth_that_no_option_states_is_refused_with_what_to_correct() -> None:
+    found = agreement(camera(scale=1e-3), {})
+    assert found.verdict == "other" and not found.options
+    with pytest.raises(BadData, match="correct the unit of depth in the files: depth 0.1 times as large"):
+        found.refuse(Path("src"), "c")
+
+
 def test_equal_poses_of_a_camera_that_moved_are_refused_if_depth_is_sure() -> None:
     moved = camera(np.tile(POSES[:1], (len(POSES), 1, 1)))
     found = agreement(moved, {})
