@@ -25,6 +25,11 @@ DOCUMENTS = (".json", ".yaml", ".yml")
 """Suffixes of calibrations with named fields."""
 
 
+MOST_ANISOTROPIC = 2.0
+"""Largest ratio of the focal lengths: pixels are square, except in images of 16:9 or 4:3 that were squeezed into
+squares (1.78). Sensitivity not measured."""
+
+
 def check_intrinsics(
     where: Path | str, K: Float[ndarray, "3 3"], size: tuple[int, int], stated: str, instead: str = ""
 ) -> None:
@@ -71,6 +76,14 @@ def check_intrinsics(
             expected=f"focal lengths in pixels, {0.1 * width:g} to {20 * width:g}",
             got=f"({fx:g}, {fy:g})",
             fix=instead or "pass fx, fy in pixels, not in millimetres.",
+        )
+    if max(fx, fy) > MOST_ANISOTROPIC * min(fx, fy):
+        raise BadData(
+            where,
+            "intrinsics",
+            expected=f"fx and fy alike, within a factor of {MOST_ANISOTROPIC:g}",
+            got=f"({fx:g}, {fy:g})",
+            fix=instead or "check their order: fx,fy,cx,cy, in pixels.",
         )
 
 

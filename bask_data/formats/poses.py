@@ -123,11 +123,16 @@ def to_world_from_camera(
         world_from_any = invert_rigid(world_from_any)
     if not options.gripper_from_camera:
         return _in_opencv(world_from_any, options.axes), None, ()
+    gripper_from_camera, path = _hand_eye(options, folder)
+    return _in_opencv(world_from_any @ gripper_from_camera, options.axes), world_from_any, (path,)
+
+
+def _hand_eye(options: PoseOptions, folder: Folder | None) -> tuple[Float[ndarray, "4 4"], Path]:
+    """The calibration in `--gripper-from-camera`, and its file."""
     path = Path(options.gripper_from_camera)
     if not path.is_file() and folder is not None:
         path = folder.member(options.gripper_from_camera, "--gripper-from-camera")
-    gripper_from_camera = read_pose(path, options.quat)
-    return _in_opencv(world_from_any @ gripper_from_camera, options.axes), world_from_any, (path,)
+    return read_pose(path, options.quat), path
 
 
 def refuse_transposed(poses: Float[ndarray, "t 4 4"], places: Sequence[str], column_major: bool) -> None:
@@ -171,7 +176,7 @@ def other_readings(
 ) -> dict[str, Float[ndarray, "t 4 4"]]:
     """The poses under the other directions, axes, orders of quaternions and units, by the options for them.
 
-    Units are read otherwise only where cameras would be far apart.
+    Units are read otherwise only where cameras would be far apart. A hand-eye calibration is also read the other way.
 
     Args:
         quaternions: whether the poses are written as quaternions.
@@ -194,6 +199,12 @@ def other_readings(
         name = " ".join(f"--{key.replace('_', '-')} {read[key]}" for key in read if key in changed)
         under = options.model_copy(update=read)
         readings[name] = to_world_from_camera(at(reordered[quat], under), under, folder=folder)[0]
+    if options.gripper_from_camera:
+        bare = options.model_copy(update={"gripper_from_camera": "", "axes": "opencv"})
+        world_from_gripper = to_world_from_camera(at(poses, options), bare)[0]
+        camera_from_gripper, _ = _hand_eye(options, folder)
+        inverse = world_from_gripper @ invert_rigid(camera_from_gripper)
+        readings["the inverse of --gripper-from-camera"] = _in_opencv(inverse, options.axes)
     return readings
 
 

@@ -101,6 +101,14 @@ def test_a_crop_with_a_stated_size_may_have_its_principal_point_anywhere_inside(
         intrinsics.check_intrinsics(Path("c.png"), matrix, VGA, "640x480")
 
 
+def test_focal_lengths_that_differ_much_are_refused() -> None:
+    matrix, _ = intrinsics.parse_intrinsics(HERE, "1200,590,320,240")
+    with pytest.raises(BadData, match=r"expected fx and fy alike, within a factor of 2, got \(1200, 590\)"):
+        intrinsics.check_intrinsics(Path("c.png"), matrix, VGA, "")
+    matrix[0, 0] = 1049
+    intrinsics.check_intrinsics(Path("c.png"), matrix, VGA, "")
+
+
 def test_a_focal_length_in_millimetres_is_refused() -> None:
     matrix, _ = intrinsics.parse_intrinsics(HERE, "3.6,3.6,320,240")
     with pytest.raises(BadData, match="expected focal lengths in pixels, 64 to 12800, got"):

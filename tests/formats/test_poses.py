@@ -88,3 +88,16 @@ def test_a_hand_eye_calibration_makes_poses_those_of_the_gripper(tmp_path: Path)
     assert np.allclose(world_from_camera[0], world_from_gripper @ gripper_from_camera, atol=1e-12)
     assert gripper is not None and np.array_equal(gripper[0], world_from_gripper)
     assert files == (tmp_path / "hand_eye.txt",)
+
+
+def test_a_hand_eye_calibration_is_also_read_the_other_way(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    world_from_gripper, gripper_from_camera = rigid(rng), rigid(rng)
+    np.savetxt(tmp_path / "hand_eye.txt", invert_rigid(gripper_from_camera))
+    flip = np.diag([1.0, -1, -1, 1])
+    for axes, turn in (("opencv", np.eye(4)), ("opengl", flip)):
+        options = PoseOptions(gripper_from_camera="hand_eye.txt", axes=axes, pose_is="camera_from_world")
+        readings = poses.other_readings(invert_rigid(world_from_gripper)[None], options, folder=Folder(tmp_path))
+        found = readings["the inverse of --gripper-from-camera"][0]
+        assert np.allclose(found, world_from_gripper @ gripper_from_camera @ turn, atol=1e-9)
+    assert "the inverse of --gripper-from-camera" not in poses.other_readings(world_from_gripper[None], PoseOptions())
