@@ -14,7 +14,7 @@ from bask_data.formats import tiff
 from bask_data.formats.arrays import NPY_SIGNATURE, read_npy
 from bask_data.formats.depth_values import LARGEST
 from bask_data.formats.files import MAX_IMAGE_BYTES, read_bytes, read_head
-from bask_data.formats.images import MAX_PIXELS, decode, image_header, read_depth
+from bask_data.formats.images import MAX_PIXELS, decode, decode_depth, image_header
 from bask_data.formats.recording import Depth
 
 SCALE_OF_WHOLE_NUMBERS, SCALE_OF_FLOAT = 0.001, 1.0
@@ -38,17 +38,22 @@ def read_any_depth(path: Path) -> Depth:
     """
     head = read_head(path, len(NPY_SIGNATURE))
     if head == NPY_SIGNATURE:
-        return _of_array(path, read_npy(path, MAX_PIXELS))
+        return depth_of_array(path, read_npy(path, MAX_PIXELS))
     if head.startswith(EXR_SIGNATURE):
         return _measured(_read_exr(path))
-    if head[:4] in tiff.SIGNATURES:
-        data = read_bytes(path)
+    return decode_any_depth(path, read_bytes(path))
+
+
+def decode_any_depth(path: Path | str, data: bytes) -> Depth:
+    """As `read_any_depth`, from the content of an image file: 16 bits, or floating point in a TIFF; `path` is for
+    messages."""
+    if data[:4] in tiff.SIGNATURES:
         header = image_header(path, data)
         if header.is_float:
             if header.channels != 1 or header.bits not in (32, 64):
                 raise _not_one_channel(path, f"{header.channels} of {header.bits} bits")
             return _measured(decode(path, data, header, cv2.IMREAD_UNCHANGED))
-    return read_depth(path)
+    return decode_depth(path, data)
 
 
 def _measured(values: ndarray) -> Float32[ndarray, "h w"]:
@@ -59,7 +64,8 @@ def _measured(values: ndarray) -> Float32[ndarray, "h w"]:
     return metres
 
 
-def _of_array(path: Path, array: ndarray) -> Depth:
+def depth_of_array(path: Path | str, array: ndarray) -> Depth:
+    """As `read_any_depth`, from an array (h, w), of whole numbers or in floating point; `path` is for messages."""
     # (1, h, w) and (h, w, 1) are what networks and simulators hand over.
     image = array[0] if array.ndim == 3 and len(array) == 1 else array
     image = image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
@@ -111,7 +117,7 @@ def _read_exr(path: Path) -> ndarray:
     return values
 
 
-def _not_one_channel(path: Path, got: str) -> BadData:
+def _not_one_channel(path: Path | str, got: str) -> BadData:
     return BadData(
         path,
         "depth",

@@ -8,17 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from jaxtyping import Float32, UInt16
 from numpy import ndarray
 
 from bask_data.errors import BadData
-from bask_data.formats.depth_values import LARGEST
-from bask_data.formats.images import check_depth, decode, image_header
 from bask_data.formats.lerobot_info import Feature
 from bask_data.formats.poses import METRES_PER_UNIT
-from bask_data.formats.recording import Depth
 
 LARGEST_CODE = 4095
 """Largest code of depth in a video, 12 bits."""
@@ -112,32 +108,6 @@ def decoded_codes(path: Path, codes: UInt16[ndarray, "h w"], table: Float32[ndar
     if largest >= len(table):
         raise BadData(path, "depth", expected=f"codes up to {len(table) - 1}", got=largest, fix="pass --depth-scale.")
     return table[codes]
-
-
-def decode_depth(where: str, data: bytes) -> Depth:
-    """Raw depth in an image file's content: 16 bits, or floating point in a TIFF."""
-    header = image_header(where, data)
-    if header.is_float and header.channels == 1:
-        return depth_of_array(where, decode(where, data, header, cv2.IMREAD_UNCHANGED))
-    check_depth(where, header)
-    return decode(where, data, header, cv2.IMREAD_UNCHANGED)
-
-
-def depth_of_array(where: str, values: ndarray) -> Depth:
-    """Raw depth of an array: 16 bits, or float32."""
-    if values.dtype.kind == "f":
-        with np.errstate(over="ignore"):
-            return values.astype(np.float32)
-    least, most = int(values.min()), int(values.max())
-    if values.dtype.kind not in "iu" or least < 0 or most > LARGEST:
-        raise BadData(
-            where,
-            "depth",
-            expected=f"whole numbers from 0 to {LARGEST}, or floating point",
-            got=f"{least} to {most} of {values.dtype}",
-            fix="store depth in units of which 16 bits have room.",
-        )
-    return values.astype(np.uint16)
 
 
 def unit_of(feature: Feature, is_float: bool) -> tuple[float, str]:

@@ -13,9 +13,9 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from bask_data.errors import BadData
+from bask_data.formats.depth_files import decode_any_depth, depth_of_array
 from bask_data.formats.images import MAX_PIXELS, decode_color
 from bask_data.formats.lerobot_columns import EpisodeRows
-from bask_data.formats.lerobot_depth import decode_depth, depth_of_array
 from bask_data.formats.lerobot_episodes import EpisodeEntry
 from bask_data.formats.lerobot_image_files import EpisodeFiles
 from bask_data.formats.lerobot_info import Feature
@@ -65,7 +65,7 @@ def color_images(rows: EpisodeRows, entry: EpisodeEntry, feature: Feature, time:
 def depth_images(rows: EpisodeRows, entry: EpisodeEntry, feature: Feature) -> FrameImages:
     """Depth of an episode from image files or arrays."""
     if feature.dtype == "image":
-        return _of_files(EpisodeFiles(rows, entry, feature), decode_depth)
+        return _of_files(EpisodeFiles(rows, entry, feature), decode_any_depth)
     cells, size = RowValues(rows.table.path, feature.key), array_size(rows, feature)
 
     def read_array(i: int) -> Depth:
