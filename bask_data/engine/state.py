@@ -113,7 +113,7 @@ def _lack(task: Task, seen: Live) -> Blocked | None:
     missing = [binding for binding in task.bindings if not seen.has_manifest(task.root / binding.place)]
     if missing:
         first = missing[0]
-        fix = "make it first, or `bask-data run`."
+        fix = "make it first, or use `bask-data run` without --only."
         if issubclass(first.artifact, Recording):
             fix = "ingest it again, or `dvc pull`."
         words = f"{first.place} is missing{_instead(task, first)}"

@@ -58,6 +58,15 @@ class Listing:
         except OSError:
             return b""
 
+    def links_out(self) -> tuple[str, ...]:
+        """Names of links to folders elsewhere, which are not entered, sorted."""
+        try:
+            with os.scandir(self.root) as entries:
+                links = [each.name for each in islice(entries, MAX_NAMES) if each.is_symlink() and each.is_dir()]
+        except OSError:
+            return ()
+        return tuple(sorted(name for name in links if not self.has_folder(name)))
+
     @cached_property
     def all_folders(self) -> tuple[str, ...]:
         """Paths of all folders, the root's as an empty text first, upper levels before lower ones."""

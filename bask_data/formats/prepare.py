@@ -141,7 +141,7 @@ def _kept(
                 source,
                 "frames",
                 expected="a frame that can be used",
-                got=f"none of {len(frames)}: {bad[0].reason}" if bad else "none",
+                got=f"none of {len(frames)}: {str(bad[0].reason).removesuffix('.')}" if bad else "none",
                 fix="check --frames, and the options that say how to read the files.",
             )
     return kept

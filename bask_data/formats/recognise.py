@@ -156,6 +156,11 @@ def _nothing(listing: Listing, dump: Dump) -> RecognisedSource:
             (), f"archives: {', '.join(packed[:3])}", f"unpack {packed[0]}, and name its folder. {looked}"
         )
     shown = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+    if not names and (links := listing.links_out()):
+        got = f"links to folders outside: {', '.join(links[:3])}"
+        return RecognisedSource(
+            (), got, f"name the folder that they lead to, {(listing.root / links[0]).resolve().parent}."
+        )
     return RecognisedSource((), shown or "an empty folder", looked)
 
 

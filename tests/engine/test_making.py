@@ -96,7 +96,7 @@ def test_missing_input_blocks_and_names_it(dataset: Dataset) -> None:
     blocked = outcomes[0].blocked
     assert blocked is not None
     assert blocked.kind == "input missing"
-    assert blocked.fix == "make it first, or `bask-data run`."
+    assert blocked.fix == "make it first, or use `bask-data run` without --only."
     assert blocked.paths == (dataset.path(Reconstruction, "a"),)
 
 

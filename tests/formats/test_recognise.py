@@ -263,6 +263,16 @@ def test_archives_and_other_files_are_named(tmp_path: Path) -> None:
     assert refused.exit_code == 2 and "an empty folder" in refused.stderr and "docs/formats.md" in refused.stderr
 
 
+def test_links_to_folders_outside_are_named_with_where_they_lead(tmp_path: Path) -> None:
+    write_dump(tmp_path / "disc/scan")
+    (tmp_path / "my/scan").mkdir(parents=True)
+    for name in ("rgb", "depth"):
+        (tmp_path / "my/scan" / name).symlink_to(tmp_path / "disc/scan" / name)
+    refused = auto(tmp_path / "my/scan", tmp_path / "d")
+    assert refused.exit_code == 2 and "links to folders outside: depth, rgb" in refused.stderr
+    assert f"name the folder that they lead to, {tmp_path}/disc/scan" in refused.stderr
+
+
 def test_a_folder_that_may_not_be_entered_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_dump(tmp_path)
     (tmp_path / "lost+found").mkdir()
