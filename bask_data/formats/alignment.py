@@ -213,6 +213,8 @@ def _with_options(
             K, _ = parse_intrinsics(folder, depth_intrinsics, DEPTH_OPTION)
             camera = replace(camera, depth_lens=Lens(K, (size[0], size[1])))
         assumptions["depth intrinsics"] = depth_intrinsics
+        if not color_from_depth and camera.color_from_depth is None:
+            assumptions["depth camera"] = "at the place of the colour camera; --color-from-depth FILE says otherwise"
     if color_from_depth:
         camera = replace(camera, color_from_depth=read_pose(_extrinsics_file(folder, color_from_depth)))
     return camera, assumptions

@@ -10,7 +10,7 @@ from typing import NoReturn
 import numpy as np
 
 from bask_data.core.geometry import rigid_fault
-from bask_data.errors import BadData
+from bask_data.errors import BadData, UsageError
 from bask_data.formats.files import listed
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.poses import ROUNDED_TOLERANCE
@@ -48,9 +48,7 @@ def chosen_frames(camera: SourceCamera, text: str) -> list[int]:
         parts = [parts[0], int(text) + 1]
     chosen = list(range(n_frames))[slice(*parts)]
     if not chosen:
-        raise BadData(
-            camera.name, "--frames", expected=f"frames among 0 to {n_frames - 1}", got=text, fix="count from 0."
-        )
+        raise UsageError("--frames", expected=f"frames of {camera.name} among 0 to {n_frames - 1}", got=text)
     return chosen
 
 

@@ -72,7 +72,7 @@ def test_cameras_whose_names_are_no_folders_of_their_own_are_refused(name: str) 
 
 
 def test_a_range_without_frames_is_refused() -> None:
-    with pytest.raises(BadData, match="--frames: expected frames among 0 to 3, got 7:9"):
+    with pytest.raises(UsageError, match="--frames: expected frames of c among 0 to 3, got 7:9"):
         prepare(source_camera(), frames="7:9")
 
 
@@ -173,6 +173,7 @@ def test_depth_of_another_size_is_refused_unless_something_says_how_it_lies() ->
     [ready] = prepare(half, depth_intrinsics="scaled").cameras
     assert (ready.height, ready.width) == (6, 8)
     assert np.array_equal(ready.K, [[10, 0, 3.75], [0, 10.5, 2.75], [0, 0, 1]])
+    assert "--color-from-depth" in prepare(half, depth_intrinsics="scaled").assumptions["depth camera"]
     assert np.array_equal(ready.read(1)[1], images(4)[1][1][::2, ::2])
 
 
