@@ -21,10 +21,15 @@ HEAD_BYTES = 65536
 
 
 class Listing:
-    """Files and folders at a path, read on demand. Hidden ones are ignored, folders behind links not entered."""
+    """Files and folders at a path, read on demand. Hidden ones are ignored, folders behind links not entered.
 
-    def __init__(self, root: Path) -> None:
+    Args:
+        n_levels: levels of folders below that `all_folders` has.
+    """
+
+    def __init__(self, root: Path, n_levels: int = MAX_LEVELS) -> None:
         self.root = root
+        self._n_levels = n_levels
         self._known: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {}
 
     def files(self, folder: str = "") -> tuple[str, ...]:
@@ -71,11 +76,16 @@ class Listing:
     def all_folders(self) -> tuple[str, ...]:
         """Paths of all folders, the root's as an empty text first, upper levels before lower ones."""
         found, level = [""], [""]
-        for _ in range(MAX_LEVELS):
+        for _ in range(self._n_levels):
             level = [f"{above}/{name}" if above else name for above in level for name in self.folders(above)]
             level = level[: max(MAX_FOLDERS - len(found), 0)]
             found += level
         return tuple(found)
+
+    @property
+    def upper_folders(self) -> tuple[str, ...]:
+        """The root, as an empty text, and the folders in it, as far as `all_folders` has them."""
+        return tuple(folder for folder in self.all_folders if "/" not in folder)
 
     def _read(self, folder: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
         if folder not in self._known:

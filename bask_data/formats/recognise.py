@@ -19,9 +19,6 @@ from bask_data.formats.recognise_frames import Dump, find_dump, guess_of_dump, h
 MAX_INSIDE = 50
 """Sub-folders that are looked at if a folder is no recording itself."""
 
-SEARCHED_BELOW = ("scannet", "bop", "rlbench", "rosbag")
-"""Formats that a folder is also said to have if a folder in it is such a recording."""
-
 
 @dataclass(frozen=True)
 class RecognisedSource:
@@ -100,25 +97,18 @@ def _of_inside(inside: list[Guess], cameras: str) -> RecognisedSource:
 
 
 def _above(source: Path) -> Guess | None:
-    """The recording that a folder is a part of: its format must have a layout, or its patterns lead into the folder."""
-    parent = Listing(source.resolve().parent)
-    guesses = guesses_of_folder(parent)
-    if guesses:
-        return guesses[0] if guesses[0].source == parent.root and not _is_beside(source, parent, guesses[0]) else None
+    """The recording that a folder is a part of: its format must have a layout, or its patterns lead into the folder.
+
+    What lies in other folders beside it does not count: the folder above may hold many recordings, and this.
+    """
+    above = source.resolve().parent
+    parent = Listing(above)
+    if guesses_of_folder(parent):
+        guesses = guesses_of_folder(Listing(above, n_levels=0))
+        return guesses[0] if guesses and guesses[0].source == above else None
     guess = guess_of_dump(parent, find_dump(parent))
     name = f"{source.resolve().name}/"
     return guess if guess and any(value.startswith(name) for value in guess.options.values()) else None
-
-
-def _is_beside(source: Path, parent: Listing, guess: Guess) -> bool:
-    """Whether the folder above was recognised by a recording in another of its folders: a folder of many recordings,
-    of which the source is one, not a part of one."""
-    if guess.format not in SEARCHED_BELOW:
-        return False
-    others = [name for name in parent.folders()[:MAX_INSIDE] if name != source.resolve().name]
-    return any(
-        inner.format == guess.format for name in others for inner in guesses_of_folder(Listing(parent.root / name))
-    )
 
 
 def _without_poses(listing: Listing, dump: Dump) -> Guess:

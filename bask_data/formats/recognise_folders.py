@@ -43,7 +43,7 @@ def _tum(listing: Listing) -> Guess | None:
 
 
 def _scannet(listing: Listing) -> Guess | None:
-    for folder in ("", *listing.folders()):
+    for folder in listing.upper_folders:
         prefix = f"{folder}/" if folder else ""
         inner = set(listing.folders(folder))
         has_K = any(
@@ -151,7 +151,7 @@ def _rosbag(listing: Listing) -> Guess | None:
     if is_bag:
         return Guess("rosbag", listing.root, ("metadata.yaml of a ROS 2 bag",))
     bags = [name for name in listing.files() if name.lower().endswith((".bag", ".mcap", ".db3"))]
-    bags += [name for name in listing.folders() if listing.has(f"{name}/metadata.yaml")]
+    bags += [name for name in listing.upper_folders if name and listing.has(f"{name}/metadata.yaml")]
     if len(bags) > 1 and _is_bag(listing, bags[0]):
         return Guess("rosbag", listing.root, (f"bags {_listed(bags)}",))
     return _only_file(listing, "rosbag")
