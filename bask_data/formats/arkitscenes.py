@@ -25,7 +25,7 @@ from bask_data.formats.arkitscenes_assets import (
     poses_at,
     read_asset,
 )
-from bask_data.formats.files import Folder, source_folder
+from bask_data.formats.files import Folder, first_readable, source_folder
 from bask_data.formats.images import read_color, read_depth, read_labels
 from bask_data.formats.lenses import scaled_lens
 from bask_data.formats.options.arkitscenes import ArkitscenesOptions
@@ -49,7 +49,7 @@ def read(source: Path, options: ArkitscenesOptions) -> SourceRecording:
     kind = _color_kind(folder, prefix, options.color)
     color = read_asset(folder, prefix, kind, (".png", ".jpg"))
     poses = poses_at(folder.member(f"{prefix}{TRAJECTORY}", "poses"), color.time, options.max_pose_gap)
-    size = image_size(color.files[0])
+    size = first_readable(image_size, color.files)
     pincams = read_asset(folder, prefix, f"{kind}_intrinsics", (".pincam",))
     K, has_K, used = intrinsics_at(pincams, color.time, size)
     depth = _depth(folder, prefix, options.depth, color, Lens(K, size))
@@ -134,7 +134,7 @@ def _depth(folder: Folder, prefix: str, kind: str, color: Asset, lens: Lens) -> 
     file_of = nearest(color.time, asset.time, SAME_FRAME)
     time = np.where(file_of >= 0, asset.time[file_of], color.time)
     delay = float(np.abs(time - color.time).max())
-    size = image_size(asset.files[0])
+    size = first_readable(image_size, asset.files)
     own_lens = None
     if size != lens.size:
         own_lens = _lens_of_depth(folder, prefix, kind, time, size) or scaled_lens(lens, size)

@@ -15,7 +15,7 @@ from bask_data.errors import BadData, UsageError
 from bask_data.formats.bop_cameras import poses_of, read_views
 from bask_data.formats.bop_truth import read_annotations, scene_truth
 from bask_data.formats.choices import chosen_episode
-from bask_data.formats.files import Folder, listed, natural, paired, source_folder
+from bask_data.formats.files import Folder, first_readable, listed, natural, paired, source_folder
 from bask_data.formats.images import image_header, read_color
 from bask_data.formats.options.bop import BopOptions
 from bask_data.formats.recording import SourceCamera, SourceRecording
@@ -94,7 +94,7 @@ def _read_scene(folder: Folder, prefix: str, options: BopOptions) -> SourceRecor
     seen, stated = [views.get(i) for i in ids], [annotated.get(i, []) for i in ids]
     poses, world = poses_of(camera_file, seen, stated, options.world_object)
     color, depth = ([groups[kind].get(name, folder.path) for name in names] for kind in ("color", "depth"))
-    header = image_header(next(iter(groups["color"].values())))
+    header = first_readable(image_header, groups["color"].values())
     size = (header.height, header.width)
     truth = scene_truth(folder, f"{prefix}mask_visib{suffix}", names, stated, poses, size)
     depth_scale, read_depth_image = scaled_depth(depth, [view.depth_scale / 1000 if view else None for view in seen])

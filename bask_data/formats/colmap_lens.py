@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,27 +13,28 @@ import pycolmap
 from bask_data.core.lens import Distortion, Lens, undistorted, undistortion
 from bask_data.errors import BadData, UsageError
 from bask_data.formats.colmap_model import ImagePose, one_size
+from bask_data.formats.files import first_readable
 from bask_data.formats.images import image_header
 from bask_data.formats.recording import SourceCamera
 
 
 def with_lens(
-    source: Path, camera: SourceCamera, poses: dict[int, ImagePose], first: Path | None
+    source: Path, camera: SourceCamera, poses: dict[int, ImagePose], files: Sequence[Path]
 ) -> tuple[SourceCamera, str]:
     """The camera with the lens of its images, and what it is, in words.
 
     Args:
         poses: registered images, at least one, by the frame's index.
-        first: file of the first of them.
+        files: of these images, those that there are.
 
     Raises:
         BadData: images differ in size from each other, or from their files.
     """
     size = one_size(source, {pose.name: pose for pose in poses.values()})
-    header = image_header(first) if first is not None else None
+    first, header = first_readable(lambda path: (path, image_header(path)), files) if files else (source, None)
     if header is not None and (header.height, header.width) != size:
         raise BadData(
-            first or source,
+            first,
             "size",
             expected=f"{size[1]} x {size[0]} as in the model",
             got=f"{header.width} x {header.height}",

@@ -66,7 +66,8 @@ def completed(source: ColmapSource, recording: SourceRecording) -> SourceRecordi
     if source.lens is not None:
         camera = replace(camera, lens=source.lens)
     elif here:
-        camera, text = with_lens(source.path, camera, here, source.color[next(iter(here))])
+        files = [path for i in here if (path := source.color[i]) is not None]
+        camera, text = with_lens(source.path, camera, here, files)
         stated.setdefault("intrinsics", text)
     bad = {fault.index for fault in bad_frames(camera, chosen, source.options)}
     fit = [i for i in chosen if i not in bad]

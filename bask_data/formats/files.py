@@ -6,11 +6,15 @@ import glob
 import re
 import shlex
 import stat
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import TypeVar
 
 from bask_data.errors import BadData, UsageError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 MAX_TEXT_BYTES = 64 * 2**20
 """Largest text file that is read, bytes: poses of half a million frames. Keeps wrong files from filling memory."""
@@ -198,6 +202,25 @@ def listed(names: Sequence[str], limit: int = 5) -> str:
     """The first names, and the number of further ones."""
     rest = len(names) - limit
     return ", ".join(names[:limit]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def first_readable(read: Callable[[Item], Result], items: Iterable[Item]) -> Result:
+    """What the first of the items gives that can be read, such as the size of images of which some are broken.
+
+    Args:
+        items: at least one.
+
+    Raises:
+        BadData: none can be read; the first one's.
+    """
+    first: BadData | None = None
+    for item in items:
+        try:
+            return read(item)
+        except BadData as error:
+            first = first or error
+    assert first is not None
+    raise first
 
 
 def read_bytes(path: Path, limit: int = MAX_IMAGE_BYTES) -> bytes:

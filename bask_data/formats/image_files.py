@@ -12,6 +12,7 @@ from numpy import ndarray
 
 from bask_data.errors import BadData
 from bask_data.formats.depth_files import read_any_depth
+from bask_data.formats.files import first_readable
 from bask_data.formats.images import image_header, read_color, read_labels
 from bask_data.formats.recording import Depth
 
@@ -40,16 +41,8 @@ class ImageFiles:
     @cached_property
     def size(self) -> tuple[int, int]:
         """(height, width) of the first colour image that can be read, pixels."""
-        first: BadData | None = None
-        for path in self.color:
-            try:
-                if path is not None:
-                    header = image_header(path)
-                    return header.height, header.width
-            except BadData as error:
-                first = first or error
-        assert first is not None  # There is a colour file.
-        raise first
+        header = first_readable(image_header, (path for path in self.color if path is not None))
+        return header.height, header.width
 
     @cached_property
     def is_float(self) -> bool:

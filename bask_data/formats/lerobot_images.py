@@ -14,6 +14,7 @@ from numpy import ndarray
 
 from bask_data.errors import BadData
 from bask_data.formats.depth_files import decode_any_depth, depth_of_array
+from bask_data.formats.files import first_readable
 from bask_data.formats.images import MAX_PIXELS, decode_color
 from bask_data.formats.lerobot_columns import EpisodeRows
 from bask_data.formats.lerobot_episodes import EpisodeEntry
@@ -79,17 +80,12 @@ def depth_images(rows: EpisodeRows, entry: EpisodeEntry, feature: Feature) -> Fr
 
 def _of_files(images: EpisodeFiles, decode: Callable[[str, bytes], ndarray]) -> FrameImages:
     """Images of files, whose size is that of the first one that decodes; `BadData` if none does."""
-    first: BadData | None = None
-    for i in range(images.n_frames):
-        try:
-            image = decode(*images.read(i))
-        except BadData as error:
-            first = first or error
-        else:
-            size, is_float = (image.shape[0], image.shape[1]), image.dtype.kind == "f"
-            return FrameImages(size, images.files, lambda i: decode(*images.read(i)), images.faults, is_float)
-    assert first is not None
-    raise first
+
+    def read(i: int) -> ndarray:
+        return decode(*images.read(i))
+
+    first = first_readable(read, range(images.n_frames))
+    return FrameImages(first.shape[:2], images.files, read, images.faults, first.dtype.kind == "f")
 
 
 def array_size(rows: EpisodeRows, feature: Feature) -> tuple[int, int]:

@@ -14,7 +14,7 @@ from numpy import ndarray
 from bask_data.core.geometry import rigid_fault
 from bask_data.errors import BadData
 from bask_data.formats.clock import seconds
-from bask_data.formats.files import Folder, natural, source_folder
+from bask_data.formats.files import Folder, first_readable, natural, source_folder
 from bask_data.formats.images import read_color
 from bask_data.formats.json_values import array, number, read_json
 from bask_data.formats.nerfstudio_depth import DepthFiles
@@ -46,11 +46,12 @@ def read(source: Path, options: NerfstudioOptions) -> SourceRecording:
     faults = {i: file.fault for i, file in enumerate(files) if file.fault}
     color = [file.color for file in files]
     depth = DepthFiles(tuple(file.depth for file in files), _depth_scale(path, table, options.depth_scale))
-    first = next((i for i in range(len(frames)) if i not in faults), None)
-    if first is None:
+    usable = [i for i in range(len(frames)) if i not in faults]
+    if not usable:
         raise _without_depth(path, frames, faults[0])
-    lens = lens_of(path, table, frames, read_color(_there(color[first])).shape[:2])
-    depth_size = depth.read(first).shape[:2]
+    size = first_readable(lambda i: read_color(_there(color[i])), usable).shape[:2]
+    lens = lens_of(path, table, frames, size)
+    depth_size = first_readable(depth.read, usable).shape[:2]
     poses, world = _poses(path, table, frames, options.world)
     by_axes = {"opengl": poses * np.diag(OPENCV_FROM_OPENGL), "opencv": poses}
     camera = SourceCamera(

@@ -12,7 +12,7 @@ from numpy import ndarray
 from bask_data.core.lens import Lens, one_if_same
 from bask_data.errors import BadData
 from bask_data.formats.clock import seconds
-from bask_data.formats.files import MAX_TEXT_BYTES, natural
+from bask_data.formats.files import MAX_TEXT_BYTES, first_readable, natural
 from bask_data.formats.images import decode_color, decode_depth, decode_labels, image_header
 from bask_data.formats.json_values import array, number, parse_json
 from bask_data.formats.lenses import scaled_lens
@@ -33,14 +33,12 @@ def read(source: Path, options: PolycamOptions) -> SourceRecording:
     if not usable:
         raise faults[0]
     first = names[usable[0]]
-    size, depth_size = (image_header(*files.content(group, first)) for group in (files.color, files.depth))
-    color_size = (size.height, size.width)
+    color_size, depth_size = (files.size(group, [names[i] for i in usable]) for group in (files.color, files.depth))
     Ks = np.stack([(cameras.get(name) or cameras[first]).K for name in names])
     lens = Lens(one_if_same(Ks), color_size)
     for i in usable:
         if (stated := cameras[names[i]].size) not in (None, color_size):
             faults[i] = _other_size(files, names[i], stated, color_size)
-    is_same = (depth_size.height, depth_size.width) == color_size
     unknown = np.full((4, 4), np.nan)
     poses = np.stack([cameras[name].world_from_camera if name in cameras else unknown for name in names])
     camera = SourceCamera(
@@ -54,7 +52,7 @@ def read(source: Path, options: PolycamOptions) -> SourceRecording:
         color=lambda i: decode_color(*files.content(files.color, names[i])),
         depth=lambda i: decode_depth(*files.content(files.depth, names[i])),
         depth_scale=0.001,
-        depth_lens=None if is_same else scaled_lens(lens, (depth_size.height, depth_size.width)),
+        depth_lens=None if depth_size == color_size else scaled_lens(lens, depth_size),
         confidence=(lambda i: decode_labels(*files.confidence_of(names[i]))) if files.confidence else None,
         faults=faults,
         expected=expected,
@@ -80,6 +78,11 @@ class _KeyframeFiles:
     def content(self, group: dict[str, str], name: str) -> tuple[str, bytes]:
         """Place and content of a keyframe's file."""
         return self.members.place(group[name]), self.members.read(group[name])
+
+    def size(self, group: dict[str, str], names: list[str]) -> tuple[int, int]:
+        """(height, width) of the first of the keyframes' images that is not broken, pixels."""
+        header = first_readable(lambda name: image_header(*self.content(group, name)), names)
+        return header.height, header.width
 
     def confidence_of(self, name: str) -> tuple[str, bytes]:
         if name not in self.confidence:

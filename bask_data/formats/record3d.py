@@ -11,6 +11,7 @@ from numpy import ndarray
 from bask_data.core.lens import Lens, one_if_same
 from bask_data.errors import BadData
 from bask_data.formats.clock import seconds
+from bask_data.formats.files import first_readable
 from bask_data.formats.json_values import array, number
 from bask_data.formats.lenses import scaled_lens
 from bask_data.formats.options.record3d import Record3dOptions
@@ -30,11 +31,11 @@ def read(source: Path, options: Record3dOptions) -> SourceRecording:
     poses = _poses(where, files)
     frames, places = _frames(sorted({*files.color, *files.depth}), len(poses))
     faults = _faults(files, frames, places, len(poses))
-    first = next((i for i in range(len(frames)) if i not in faults), None)
-    if first is None:
+    usable = [frames[i] for i in range(len(frames)) if i not in faults]
+    if not usable:
         raise faults[0]
-    lens, intrinsics = _lens(where, files, places, files.color_size(frames[first]))
-    depth = files.read_depth(frames[first])
+    lens, intrinsics = _lens(where, files, places, first_readable(files.color_size, usable))
+    depth = first_readable(files.read_depth, usable)
     time, clock = _time(where, files, places)
     unknown = np.full((4, 4), np.nan)
     camera = SourceCamera(

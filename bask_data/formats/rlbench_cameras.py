@@ -18,7 +18,7 @@ from numpy import ndarray
 
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData
-from bask_data.formats.files import Folder, frame_number, listed, read_bytes
+from bask_data.formats.files import Folder, first_readable, frame_number, listed, read_bytes
 from bask_data.formats.images import decode_color, image_header, read_color
 from bask_data.formats.recording import SourceCamera
 from bask_data.formats.simulated import at_pixel_centres, labelled
@@ -126,7 +126,7 @@ def read_camera(
     present = [i for i in range(n_frames) if i not in faults]
     if not present:
         raise BadData(episode.path / f"{name}_rgb", "frames", expected=f"images 0 to {n_frames - 1}.png", got="others")
-    header = image_header(images["rgb"].files[present[0]])
+    header = first_readable(image_header, (images["rgb"].files[i] for i in present))
     K = calibration["intrinsics"].copy()
     # PyRep states by negative focal lengths that the axes are turned by 180 degrees about the viewing direction.
     K[:, [0, 1], [0, 1]] = np.abs(K[:, [0, 1], [0, 1]])

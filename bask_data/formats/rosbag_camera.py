@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from bask_data.core.lens import Lens
 from bask_data.core.time_pairs import mutual_nearest
 from bask_data.errors import BadData
 from bask_data.formats.clock import seconds
-from bask_data.formats.files import Folder, listed
+from bask_data.formats.files import Folder, first_readable, listed
 from bask_data.formats.intrinsics import read_calibration
 from bask_data.formats.options.rosbag import RosbagOptions
 from bask_data.formats.poses import other_readings, to_world_from_camera
@@ -207,8 +207,7 @@ class BagCamera:
 
     def _lens(self, folder: Folder, stamps: list[int]) -> tuple[Lens, str, str, tuple[Path, ...]]:
         """Colour's lens, the size of the images that it is for, a statement, and files."""
-        size = self._color(0).shape[:2]
-        size = (int(size[0]), int(size[1]))
+        size = _size(self._color, self.images)
         if self.options.intrinsics:
             stated = read_calibration(folder, self.options.intrinsics)
             stated_size = self.options.intrinsics_size or stated.size
@@ -228,8 +227,7 @@ class BagCamera:
     def _depth(self, lens: Lens, stamps: list[int]) -> tuple[Lens | None, Float[ndarray, "4 4"] | None, str]:
         """Depth's lens and pose in the colour camera, None where they are colour's, and a statement."""
         depth, topics = self.topics.depth, self.topics
-        size = self._depth_image(0).shape[:2]
-        size = (int(size[0]), int(size[1]))
+        size = _size(self._depth_image, self.depths)
         is_aligned = topics.is_aligned and size == lens.size
         wants_lens = not is_aligned or has_lens(self.contents, depth, self.options.depth_info_topic)
         if self.options.depth_intrinsics or not wants_lens:
@@ -270,6 +268,12 @@ class BagCamera:
                 fix="pass --color-from-depth FILE.",
             )
         return known[0]
+
+
+def _size(decode: Callable[[int], ndarray], images: ImageStream) -> tuple[int, int]:
+    """(height, width) of the first image that can be decoded, pixels."""
+    shape = first_readable(decode, range(len(images.places))).shape
+    return int(shape[0]), int(shape[1])
 
 
 def _paired(stamps: Sequence[int], others: Sequence[int], limit: float) -> Int[ndarray, " n"]:

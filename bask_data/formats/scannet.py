@@ -16,7 +16,7 @@ from bask_data.core.geometry import invert_rigid
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData, UsageError
 from bask_data.formats.clock import counted
-from bask_data.formats.files import Folder, listed, paired
+from bask_data.formats.files import Folder, first_readable, listed, paired
 from bask_data.formats.images import image_header, read_color, read_depth
 from bask_data.formats.options.scannet import ScannetOptions
 from bask_data.formats.poses import read_transforms
@@ -80,7 +80,7 @@ def _of_files(folder: Folder, export: Export, options: ScannetOptions) -> Source
         if name in groups["pose"] and not np.isfinite(poses[i]).all()
     }
     clock = counted(names, options.fps)
-    header, depth_header = (image_header(next(iter(groups[kind].values()))) for kind in ("color", "depth"))
+    header, depth_header = (first_readable(image_header, groups[kind].values()) for kind in ("color", "depth"))
     camera = SourceCamera(
         name=options.camera,
         frames=tuple(names),

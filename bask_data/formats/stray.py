@@ -14,7 +14,7 @@ from bask_data.core.lens import Lens, one_if_same
 from bask_data.errors import BadData
 from bask_data.formats.clock import seconds
 from bask_data.formats.depth_files import read_any_depth
-from bask_data.formats.files import Folder, numbers, read_lines, source_folder
+from bask_data.formats.files import Folder, first_readable, numbers, read_lines, source_folder
 from bask_data.formats.images import read_labels
 from bask_data.formats.intrinsics import parse_intrinsics
 from bask_data.formats.lenses import scaled_lens
@@ -39,11 +39,11 @@ def read(source: Path, options: StrayOptions) -> SourceRecording:
     confidence = _by_number(folder, "confidence", (".png",)) if folder.has("confidence") else {}
     in_video = _places_in_video(table, video)
     faults = _faults(source, table, depth, in_video)
-    first = next((i for i in range(len(table.number)) if i not in faults), None)
-    if first is None:
+    usable = [depth[number] for i, number in enumerate(table.number) if i not in faults]
+    if not usable:
         raise faults[0]
     lens, intrinsics_files = _lens(folder, table, video.size)
-    depth_size = read_any_depth(depth[table.number[first]]).shape[:2]
+    depth_size = first_readable(read_any_depth, usable).shape[:2]
     names = tuple(f"{number:06d}" for number in table.number)
     camera = SourceCamera(
         name=options.camera,

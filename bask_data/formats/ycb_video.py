@@ -16,7 +16,7 @@ from bask_data.core.geometry import rigid_fault
 from bask_data.core.lens import Lens
 from bask_data.errors import BadData
 from bask_data.formats.clock import counted
-from bask_data.formats.files import Folder, listed, paired
+from bask_data.formats.files import Folder, first_readable, listed, paired
 from bask_data.formats.images import image_header, read_color, read_labels
 from bask_data.formats.intrinsics import intrinsics_matrix
 from bask_data.formats.label_files import LARGEST_LABEL
@@ -85,7 +85,7 @@ def read_ycb_video(folder: Folder, prefix: str, options: BopOptions) -> SourceRe
     seen = [metas.get(name) for name in names]
     color, depth = ([groups[kind].get(name, folder.path) for name in names] for kind in ("color", "depth"))
     poses = np.stack([meta.world_from_camera if meta else np.full((4, 4), np.nan) for meta in seen])
-    header = image_header(next(iter(groups["color"].values())))
+    header = first_readable(image_header, groups["color"].values())
     clock = counted(names, options.fps)
     labels, label_text = _labels(folder, prefix, names)
     depth_scale, read_depth_image = scaled_depth(depth, [1 / meta.units_per_metre if meta else None for meta in seen])

@@ -6,6 +6,7 @@ Nothing is converted here: what no file states is given by documented options.
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from typer.testing import CliRunner
 from bask_data.cli.app import app
 from bask_data.dataset import Dataset
 from bask_data.formats import FORMATS
+from bask_data.formats.files import natural
 from bask_data.kinds import Demonstration, Scan
 from tests.formats.views import Views, rendered
 from tests.formats.written_sources import SOURCES, Written
@@ -61,3 +63,24 @@ def test_one_command_gives_the_recording_back(convention: str, views: Views, tmp
         np.testing.assert_allclose(camera.depth(i), views.depth_mm[i] / 1000, atol=written.depth_tolerance)
         difference = np.abs(camera.rgb(i).astype(int) - views.color[i])
         assert difference.mean() < (LOSSES if written.is_lossy else 1e-9), f"frame {i}"
+
+
+@pytest.mark.parametrize(
+    "convention", ["tum", "scannet", "arkitscenes", "bop", "nerfstudio", "polycam", "colmap", "rlbench"]
+)
+def test_a_broken_first_image_can_be_left_out_as_any_other(convention: str, views: Views, tmp_path: Path) -> None:
+    written = SOURCES[convention](tmp_path, views)
+    images = [path for path in written.path.rglob("*") if path.suffix in (".png", ".jpg", ".jpeg")]
+    images.sort(key=lambda path: natural(str(path)))
+    color = [
+        path for path in images if re.search("rgb|color|images|lowres_wide", path.relative_to(written.path).as_posix())
+    ]
+    color[0].write_bytes(color[0].read_bytes()[:60])
+    words = ["ingest", convention, str(written.path), str(tmp_path / "d"), "--scene", "a", *written.options]
+    refused = CliRunner().invoke(app, words)
+    assert refused.exit_code == 4 and color[0].name in refused.stderr, refused.stderr
+    answer = CliRunner().invoke(app, [*words, "--skip-bad", "--trust"])
+    assert answer.exit_code == 0, answer.stderr
+    [camera] = Scan(tmp_path / "d/scan/a").cameras
+    assert camera.n_frames == views.n - 1
+    np.testing.assert_allclose(camera.world_from_cameras, views.poses[1:], atol=written.tolerance)

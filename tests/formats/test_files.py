@@ -165,3 +165,14 @@ def test_decimal_commas_are_refused_with_a_command_that_replaces_them(tmp_path: 
 @pytest.mark.parametrize("line", ["1,2,3", "1, 2, 3", "[[1 2 3]]", "1;2;3", "(1.0,2.0,3.0)", "1,2,3,"])
 def test_numbers_are_read_however_they_are_separated(line: str) -> None:
     assert files.numbers(Path("n.txt"), line) == [1, 2, 3]
+
+
+def test_the_first_that_can_be_read_is_taken_and_else_the_first_error_raised() -> None:
+    def read(i: int) -> int:
+        if i < 2:
+            raise BadData(f"{i}.png", "image", expected="a picture", got="none")
+        return i
+
+    assert files.first_readable(read, [0, 1, 2, 3]) == 2
+    with pytest.raises(BadData, match="0.png: image"):
+        files.first_readable(read, [0, 1])
