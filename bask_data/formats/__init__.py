@@ -4,13 +4,14 @@ To add a format, touch three files, and a fourth if it has a layout that can be 
 
 1. `formats/options/<name>.py`, new, with a model of its options, derived from `SourceOptions`, whose descriptions are
    the help of `bask-data ingest <name>`. It must not load NumPy or OpenCV, so that `--help` stays fast.
-2. `formats/<name>.py`, new, with `read(source: Path, options) -> SourceRecording`. It returns the recording in our
-   units and frames, states in `assumptions` what the files do not, and reads frames on demand. What `SourceOptions`
-   asks for is done by `prepare`, for all formats alike. A source of many recordings also has
-   `episodes(source: Path, options) -> tuple[str, ...]`, their names.
+2. `formats/<name>.py`, new, or `formats/<name>/__init__.py` if it takes several modules, with
+   `read(source: Path, options) -> SourceRecording`. It returns the recording in our units and frames, states in
+   `assumptions` what the files do not, and reads frames on demand. What `SourceOptions` asks for is done by `prepare`,
+   for all formats alike. A source of many recordings also has `episodes(source: Path, options) -> tuple[str, ...]`,
+   their names.
 3. `formats/__init__.py`: the import of the model, and a line in `FORMATS`.
-4. So that `ingest auto` knows it, `formats/recognise_folders.py`: a function in `RECOGNISERS` that tells its layout by
-   names and first bytes; or `formats/recognise_files.py` for a single file. They load no library, so that a source is
+4. So that `ingest auto` knows it, `formats/recognise/folders.py`: a function in `RECOGNISERS` that tells its layout by
+   names and first bytes; or `formats/recognise/files.py` for a single file. They load no library, so that a source is
    looked at in a moment.
 """
 

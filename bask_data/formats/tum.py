@@ -14,7 +14,7 @@ from bask_data.core.time_pairs import mutual_nearest
 from bask_data.errors import BadData
 from bask_data.formats.clock import Clock, seconds
 from bask_data.formats.files import Folder, listed, numbered_lines, source_folder
-from bask_data.formats.frames_poses import poses_at_times
+from bask_data.formats.frames.poses import poses_at_times
 from bask_data.formats.image_files import ImageFiles
 from bask_data.formats.images import image_header
 from bask_data.formats.intrinsics import read_calibration, refuse_unnamed_lens

@@ -11,8 +11,8 @@ from bask_data.core.lens import Distortion, Lens
 from bask_data.core.similarity import similarity
 from bask_data.errors import BadData, UsageError
 from bask_data.formats import FORMATS
-from bask_data.formats.colmap_lens import colmap_camera
-from bask_data.formats.colmap_sfm import MOST_IMAGES
+from bask_data.formats.colmap.lens import colmap_camera
+from bask_data.formats.colmap.sfm import MOST_IMAGES
 from bask_data.formats.options.colmap import ColmapOptions
 from bask_data.kinds import Scan
 from bask_data.progress import listened_by

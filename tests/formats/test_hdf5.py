@@ -10,8 +10,9 @@ import pytest
 from numpy import ndarray
 
 from bask_data.errors import BadData, UsageError
-from bask_data.formats import hdf5, hdf5_storage
+from bask_data.formats import hdf5
 from bask_data.formats.hdf5 import Hdf5File, hdf5_source
+from bask_data.formats.hdf5 import storage as hdf5_storage
 
 VALUES = np.arange(5 * 6 * 4, dtype=np.float32).reshape(5, 6, 4)
 SHAPE = (None, None, None)

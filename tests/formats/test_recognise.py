@@ -14,8 +14,8 @@ from bask_data.formats import FORMATS
 from bask_data.formats.guess import Guess
 from bask_data.formats.listing import Listing
 from bask_data.formats.recognise import recognise
-from bask_data.formats.recognise_folders import RECOGNISERS
-from bask_data.formats.recognise_frames import is_rigid_lines
+from bask_data.formats.recognise.folders import RECOGNISERS
+from bask_data.formats.recognise.frames import is_rigid_lines
 from tests.formats.folders import images, rigid, write_frames, write_image
 from tests.formats.test_maniskill import written as write_maniskill
 from tests.formats.test_tum import write_sequence

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from bask_data.errors import BadData, MissingDependency, UsageError
-from bask_data.formats import FORMATS, rosbag, rosbag_files
+from bask_data.formats import FORMATS, rosbag
 from bask_data.formats.options.rosbag import RosbagOptions
 from bask_data.formats.recording import CameraRecording, PreparedRecording
+from bask_data.formats.rosbag import files as rosbag_files
 from tests.formats.bags import (
     COLOR,
     COLOR_TOPIC,
@@ -312,7 +313,7 @@ def test_damaged_bags_are_refused_with_their_name(tmp_path: Path, kind: str) -> 
 
 
 def test_chunks_that_decompress_without_end_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bask_data.formats.rosbag_files.MAX_IMAGE_BYTES", 1000)
+    monkeypatch.setattr("bask_data.formats.rosbag.files.MAX_IMAGE_BYTES", 1000)
     for kind in ("bag-bz2", "bag-lz4", "mcap-zstd"):
         with pytest.raises(BadData, match="expected at most 1000 bytes, got more, decompressed"):
             read(write_recording(tmp_path / kind, kind))
@@ -325,7 +326,7 @@ def test_chunks_of_a_file_without_an_index_are_bounded_before_its_topics_are_kno
     content = bytearray(file.read_bytes())
     content[-28:-20] = bytes(8)
     file.write_bytes(content)
-    monkeypatch.setattr("bask_data.formats.rosbag_files.MAX_IMAGE_BYTES", 1000)
+    monkeypatch.setattr("bask_data.formats.rosbag.files.MAX_IMAGE_BYTES", 1000)
     monkeypatch.setattr("rosbags.rosbag2.storage_mcap.decompress", None)
     with pytest.raises(BadData, match="expected at most 1000 bytes, got more, decompressed"):
         read(file)
@@ -412,7 +413,7 @@ def test_chunks_of_bz2_are_decompressed_once_unless_there_is_no_room(
     monkeypatch.setattr(rosbag_files, "decompressed", counted)
     monkeypatch.setattr(rosbag_files, "N_CHUNKS_KEPT", 0)
     for folder, n_times in ((str(tmp_path), 1), ("/proc", None)):
-        monkeypatch.setattr("bask_data.formats.rosbag_spool.SPOOL_FOLDER", folder)
+        monkeypatch.setattr("bask_data.formats.rosbag.spool.SPOOL_FOLDER", folder)
         unpacked.clear()
         [camera] = rosbag.read(path, RosbagOptions()).cameras
         assert [np.array_equal(camera.color(i), COLOR[i]) for i in range(4)] == [True] * 4

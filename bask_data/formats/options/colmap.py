@@ -7,6 +7,9 @@ from pydantic import Field, FiniteFloat
 from bask_data.formats.options.common import OneCameraOptions, PoseOptions, Text, TimeOptions
 from bask_data.params import SIZE, WHOLE_NUMBERS
 
+MODEL_PLACES = ("sparse", "colmap/sparse", "distorted/sparse", "dslr/colmap", "model", "colmap", ".", "sparse_txt")
+"""Folders in which models are looked for, and in their folders 0, 1 and so on."""
+
 
 class ColmapOptions(OneCameraOptions, TimeOptions, PoseOptions):
     """Images with depth, and COLMAP's model of them, or none: then their poses are found first."""
