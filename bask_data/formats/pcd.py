@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from bask_data.core.compiled import compiled
 from bask_data.errors import BadData
-from bask_data.formats.files import MAX_IMAGE_BYTES, read_bytes
+from bask_data.formats.files import MAX_IMAGE_BYTES, MAX_TEXT_BYTES, read_bytes
 from bask_data.formats.images import MAX_PIXELS
 
 DTYPES = {
@@ -137,6 +137,8 @@ def _of_packed_bytes(data: bytes, record: np.dtype, n_points: int) -> list[ndarr
 
 
 def _of_text(data: bytes, record: np.dtype, n_points: int) -> list[ndarray]:
+    if len(data) > MAX_TEXT_BYTES:  # As words it takes twenty times as much memory.
+        raise ValueError(f"{len(data)} bytes of text: save so large a cloud as binary")
     words = data.split()
     shapes = [(name, *(record[name].subdtype or (record[name], (1,)))) for name in record.names or ()]
     n_words = sum(shape[0] for _, _, shape in shapes)

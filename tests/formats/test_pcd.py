@@ -82,6 +82,13 @@ def test_a_file_that_is_not_what_its_header_says_is_refused(tmp_path: Path, mess
         held(tmp_path / "a.pcd", pcd(points, HEIGHT, WIDTH, **BROKEN[message]))
 
 
+def test_too_long_a_text_is_refused_before_it_is_split(tmp_path: Path) -> None:
+    points, _, _ = content()
+    data = pcd(points, HEIGHT, WIDTH, "ascii")
+    with pytest.raises(BadData, match="bytes of text: save so large a cloud as binary"):
+        held(tmp_path / "a.pcd", data + b" " * (64 * 2**20))
+
+
 def test_compressed_points_that_are_broken_are_refused(tmp_path: Path) -> None:
     points, _, _ = content()
     whole = pcd(points, HEIGHT, WIDTH, "binary_compressed")
