@@ -21,7 +21,7 @@ from bask_data.core.registration import color_at_depth_size, labels_at_depth_siz
 from bask_data.errors import BadData, UsageError
 from bask_data.formats.choices import CAMERA
 from bask_data.formats.depth_values import DepthValues, depth_values
-from bask_data.formats.files import Folder
+from bask_data.formats.files import Folder, folder_of
 from bask_data.formats.intrinsics import parse_intrinsics
 from bask_data.formats.lenses import check_lens, maps_of, parse_distortion, scaled_lens
 from bask_data.formats.options.common import SourceOptions
@@ -164,7 +164,7 @@ def aligned(source: Path, camera: SourceCamera, kept: list[int], options: Source
         BadData: intrinsics do not fit the images, or depth's size does not fit colour's and nothing says why.
         UsageError: an option does not apply, or is invalid.
     """
-    camera, assumptions = _with_options(_folder(source, options), camera, kept[0], options)
+    camera, assumptions = _with_options(folder_of(source, options.follow_links), camera, kept[0], options)
     if camera.color_from_depth is None and _are_same(camera.lens, camera.depth_lens):
         camera = replace(camera, depth_lens=None)
     check_lens(camera, camera.lens, camera.intrinsics_size, "" if options.has("intrinsics") else AS_WRITTEN)
@@ -226,7 +226,7 @@ def option_files(source: Path, cameras: Sequence[SourceCamera], options: SourceO
     Raises:
         BadData: a file is missing, or holds something else.
     """
-    folder = _folder(source, options)
+    folder = folder_of(source, options.follow_links)
     files: list[Path] = []
     for camera in cameras:
         depth_intrinsics, color_from_depth = _of_camera(camera, options)
@@ -235,10 +235,6 @@ def option_files(source: Path, cameras: Sequence[SourceCamera], options: SourceO
         if color_from_depth:
             files.append(_extrinsics_file(folder, color_from_depth))
     return tuple(dict.fromkeys(files))
-
-
-def _folder(source: Path, options: SourceOptions) -> Folder:
-    return Folder(source if source.is_dir() else source.parent, options.follow_links)
 
 
 def _of_camera(camera: SourceCamera, options: SourceOptions) -> tuple[str, str]:

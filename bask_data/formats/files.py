@@ -145,6 +145,11 @@ class Folder:
         return {name: files[name] for name in sorted(files, key=natural)}
 
 
+def folder_of(source: Path, follow_links: bool = False) -> Folder:
+    """`source`, or the folder that it lies in if it is a file: where files that options name are looked for."""
+    return Folder(source if source.is_dir() else source.parent, follow_links)
+
+
 def source_folder(source: Path, follow_links: bool = False) -> Folder:
     """`source` as a folder; `UsageError` if it is none."""
     if not source.is_dir():

@@ -10,7 +10,7 @@ import numpy as np
 
 from bask_data.errors import BadData, UsageError
 from bask_data.formats.choices import CAMERA
-from bask_data.formats.files import Folder, frame_number, listed
+from bask_data.formats.files import Folder, folder_of, frame_number, listed
 from bask_data.formats.images import read_labels
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.recording import SourceCamera, SourceRecording
@@ -35,7 +35,7 @@ def with_labels(source: Path, recording: SourceRecording, options: SourceOptions
         names = ", ".join(camera.name for camera in recording.cameras)
         fix = "put {camera} into the pattern, for instance '{camera}/labels_*.png', or ingest one camera at a time."
         raise UsageError("--labels", expected="a pattern with {camera}, of several cameras", got=names, fix=fix)
-    folder = Folder(source if source.is_dir() else source.parent, options.follow_links)
+    folder = folder_of(source, options.follow_links)
     files = {camera.name: _files_of(folder, camera, options.labels) for camera in recording.cameras}
     paths = [path for found in files.values() for path in found]
     present = labels_in(paths)

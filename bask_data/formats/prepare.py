@@ -130,12 +130,10 @@ def _kept(
 ) -> dict[str, list[int]]:
     """Frames to keep, by camera. A frame that one camera of a robot's lacks is lost for all: they share its states."""
     together = recording.robot is not None
-    lost = {(fault.camera, fault.index) for fault in bad}
     kept = {}
     for name, frames in chosen.items():
-        kept[name] = [
-            i for i in frames if not ((name, i) in lost or (together and any(index == i for _, index in lost)))
-        ]
+        lost = {fault.index for fault in bad if together or fault.camera == name}
+        kept[name] = [i for i in frames if i not in lost]
         if not kept[name]:
             raise BadData(
                 source,

@@ -146,19 +146,11 @@ def _found(folder: Folder, color: list[str], depth: list[str | None]) -> tuple[I
 def _associated(folder: Folder, options: TumOptions) -> _Images:
     """Colour and depth paired by a file `time file time file`; the one of 16 bits is depth."""
     path = folder.member(options.associations, "--associations")
-    lines = numbered_lines(path)
-    words = [line.split() for _, line in lines]
-    if not words or any(len(row) != 4 for row in words):
-        odd = next((i for (i, _), row in zip(lines, words, strict=True) if len(row) != 4), 0)
-        raise BadData(
-            path,
-            "lines",
-            expected="`time file time file` in each",
-            got=f"another in line {odd}" if odd else "none",
-            fix="leave out --associations: rgb.txt and depth.txt are then joined by time.",
-        )
+    lines, words = _rows(
+        path, "time file time file", "leave out --associations: rgb.txt and depth.txt are then joined by time."
+    )
     depth_at = 0 if image_header(folder.member(words[0][1], path.name)).bits == 16 else 2
-    clock = _clock(path, [row[2 - depth_at] for row in words], [i for i, _ in lines], options)
+    clock = _clock(path, [row[2 - depth_at] for row in words], lines, options)
     names = [row[3 - depth_at] for row in words]
     files, faults = _found(folder, names, [row[1 + depth_at] for row in words])
     return _Images(tuple(names), clock, np.arange(len(names)), files, (path,), faults)
@@ -172,18 +164,22 @@ def _file_list(folder: Folder, name: str, options: TumOptions) -> tuple[Path, Cl
         )
         raise BadData(folder.path / name, "images", expected="a file of `timestamp file`", got="no such path", fix=fix)
     path = folder.member(name, name)
+    lines, words = _rows(
+        path, "timestamp file", "correct the file; a file that lists both is read by --associations FILE.", maxsplit=1
+    )
+    return path, _clock(path, [row[0] for row in words], lines, options), [row[1] for row in words]
+
+
+def _rows(path: Path, form: str, fix: str, maxsplit: int = -1) -> tuple[list[int], list[list[str]]]:
+    """Numbers and words of the lines of a file, each of which has the form; `BadData` otherwise."""
     lines = numbered_lines(path)
-    words = [line.split(maxsplit=1) for _, line in lines]
-    if not words or any(len(row) != 2 for row in words):
-        odd = next((i for (i, _), row in zip(lines, words, strict=True) if len(row) != 2), 0)
-        raise BadData(
-            path,
-            "lines",
-            expected="`timestamp file` in each",
-            got=f"another in line {odd}" if odd else "none",
-            fix="correct the file; a file that lists both is read by --associations FILE.",
-        )
-    return path, _clock(path, [row[0] for row in words], [i for i, _ in lines], options), [row[1] for row in words]
+    words = [line.split(maxsplit=maxsplit) for _, line in lines]
+    n = len(form.split())
+    if not words or any(len(row) != n for row in words):
+        odd = next((i for (i, _), row in zip(lines, words, strict=True) if len(row) != n), 0)
+        got = f"another in line {odd}" if odd else "none"
+        raise BadData(path, "lines", expected=f"`{form}` in each", got=got, fix=fix)
+    return [i for i, _ in lines], words
 
 
 def _clock(path: Path, words: list[str], lines: list[int], options: TumOptions) -> Clock:

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from pydantic import Field, FiniteFloat
+from pydantic import Field
 
-from bask_data.formats.options.common import OneCameraOptions, PoseOptions, Text, TimeOptions
-from bask_data.params import SIZE, WHOLE_NUMBERS
+from bask_data.formats.options.common import (
+    DepthScale,
+    IntrinsicsSize,
+    InvalidDepth,
+    OneCameraOptions,
+    PoseOptions,
+    Text,
+    TimeOptions,
+)
 
 MODEL_PLACES = ("sparse", "colmap/sparse", "distorted/sparse", "dslr/colmap", "model", "colmap", ".", "sparse_txt")
 """Folders in which models are looked for, and in their folders 0, 1 and so on."""
@@ -29,27 +36,14 @@ class ColmapOptions(OneCameraOptions, TimeOptions, PoseOptions):
         description="Depth files; * stands for an image's name without its ending, or for the text matched by the * "
         "of --images.",
     )
-    depth_scale: FiniteFloat | None = Field(
-        None,
-        gt=0,
-        description="Metres per unit of the depth files: 0.001 for millimetres, 0.0002 for TUM's. Unless set, 0.001 "
-        "for whole numbers and 1 for floating point.",
-    )
-    invalid_depth: Text = Field(
-        "",
-        pattern=WHOLE_NUMBERS,
-        description="Raw depth values besides 0 that mean no measurement, separated by commas: 65535.",
-    )
+    depth_scale: DepthScale = None
+    invalid_depth: InvalidDepth = ""
     intrinsics: Text = Field(
         "",
         description="To find poses with, instead of an estimate: fx,fy,cx,cy in pixels (pixel (0, 0) is a centre), or "
         "a text file. A model states its own.",
     )
-    intrinsics_size: str = Field(
-        "",
-        pattern=SIZE,
-        description="WIDTHxHEIGHT of the images used to calibrate the intrinsics; checked against the files.",
-    )
+    intrinsics_size: IntrinsicsSize = ""
     align_to: str = Field(
         "",
         description="Known poses of some of the images, whose world is taken: lines `image-or-time tx ty tz qx qy qz "

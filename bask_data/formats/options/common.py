@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, FiniteFloat
 
-from bask_data.params import FRAMES, NAME, Params
+from bask_data.params import FRAMES, NAME, SIZE, WHOLE_NUMBERS, Params
 
 Text = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(value, int | float) else value)]
 """A text that may be a number in a configuration file: `invalid_depth: 65535`."""
@@ -17,6 +17,35 @@ Text = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(val
 
 PoseIs = Literal["world_from_camera", "camera_from_world"]
 Axes = Literal["opencv", "opengl"]
+
+
+IntrinsicsSize = Annotated[
+    str,
+    Field(
+        pattern=SIZE,
+        description="WIDTHxHEIGHT of the images used to calibrate the intrinsics; checked against the files.",
+    ),
+]
+"""Size that intrinsics are for; empty: not stated."""
+
+DepthScale = Annotated[
+    FiniteFloat | None,
+    Field(
+        gt=0,
+        description="Metres per unit of the depth files: 0.001 for millimetres, 0.0002 for TUM's. Unless set, 0.001 "
+        "for whole numbers and 1 for floating point.",
+    ),
+]
+"""Unit of depth in files that may hold whole numbers or floating point."""
+
+InvalidDepth = Annotated[
+    Text,
+    Field(
+        pattern=WHOLE_NUMBERS,
+        description="Raw depth values besides 0 that mean no measurement, separated by commas: 65535.",
+    ),
+]
+"""Values of raw depth that mean none."""
 
 
 class SourceOptions(Params):

@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field, FiniteFloat
 
-from bask_data.formats.options.common import PoseOptions, StampOptions, Text
-from bask_data.params import NAMES, SIZE, WHOLE_NUMBERS
+from bask_data.formats.options.common import DepthScale, IntrinsicsSize, InvalidDepth, PoseOptions, StampOptions, Text
+from bask_data.params import NAMES
 
 
 class FramesOptions(PoseOptions, StampOptions):
@@ -46,22 +46,9 @@ class FramesOptions(PoseOptions, StampOptions):
         description="Intrinsics: fx,fy,cx,cy in pixels, or a file: these 4 numbers or a 3x3 matrix, OpenCV's "
         "distortion after them or not; or JSON or YAML of OpenCV, ROS, Open3D. Clouds need none.",
     )
-    intrinsics_size: str = Field(
-        "",
-        pattern=SIZE,
-        description="WIDTHxHEIGHT of the images used to calibrate the intrinsics; checked against the files.",
-    )
-    depth_scale: FiniteFloat | None = Field(
-        None,
-        gt=0,
-        description="Metres per unit of the depth files: 0.001 for millimetres, 0.0002 for TUM's. Unless set, 0.001 "
-        "for whole numbers and 1 for floating point.",
-    )
-    invalid_depth: Text = Field(
-        "",
-        pattern=WHOLE_NUMBERS,
-        description="Raw depth values besides 0 that mean no measurement, separated by commas: 65535.",
-    )
+    intrinsics_size: IntrinsicsSize = ""
+    depth_scale: DepthScale = None
+    invalid_depth: InvalidDepth = ""
     fps: FiniteFloat = Field(30.0, gt=0, description="Frames per second: time is frame number / fps.")
     timestamps: str = Field(
         "",

@@ -6,8 +6,7 @@ from typing import Literal
 
 from pydantic import Field, FiniteFloat
 
-from bask_data.formats.options.common import EpisodeOptions, PoseOptions, Text
-from bask_data.params import SIZE
+from bask_data.formats.options.common import EpisodeOptions, IntrinsicsSize, PoseOptions, Text
 
 
 class LerobotOptions(EpisodeOptions, PoseOptions):
@@ -32,11 +31,7 @@ class LerobotOptions(EpisodeOptions, PoseOptions):
         description="Intrinsics, which LeRobot has no place for: fx,fy,cx,cy or a file, as for `frames`; of several "
         "cameras NAME=...;NAME=..., or a file name with {camera}.",
     )
-    intrinsics_size: str = Field(
-        "",
-        pattern=SIZE,
-        description="WIDTHxHEIGHT of the images used to calibrate the intrinsics; checked against the files.",
-    )
+    intrinsics_size: IntrinsicsSize = ""
     pose_column: str = Field(
         "",
         description="Columns with the cameras' poses, of 16, 12 or 7 numbers, if no name says so: "

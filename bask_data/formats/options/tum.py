@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field, FiniteFloat
 
-from bask_data.formats.options.common import PoseOptions, StampOptions, Text
-from bask_data.params import NAME, SIZE
+from bask_data.formats.options.common import IntrinsicsSize, PoseOptions, StampOptions, Text
+from bask_data.params import NAME
 
 
 class TumOptions(PoseOptions, StampOptions):
@@ -16,11 +16,7 @@ class TumOptions(PoseOptions, StampOptions):
         "",
         description="freiburg1, freiburg2 or freiburg3: the benchmark's calibration; or fx,fy,cx,cy, or a file.",
     )
-    intrinsics_size: str = Field(
-        "",
-        pattern=SIZE,
-        description="WIDTHxHEIGHT of the images used to calibrate the intrinsics; checked against the files.",
-    )
+    intrinsics_size: IntrinsicsSize = ""
     depth_scale: FiniteFloat = Field(0.0002, gt=0, description="Metres per unit of the depth files.")
     trajectory: str = Field(
         "groundtruth.txt",

@@ -14,7 +14,7 @@ from bask_data.core.lens import Lens
 from bask_data.core.time_pairs import mutual_nearest
 from bask_data.errors import BadData
 from bask_data.formats.clock import seconds
-from bask_data.formats.files import Folder, first_readable, listed
+from bask_data.formats.files import Folder, first_readable, folder_of, listed
 from bask_data.formats.intrinsics import read_calibration
 from bask_data.formats.options.rosbag import RosbagOptions
 from bask_data.formats.poses import other_readings, to_world_from_camera
@@ -71,7 +71,7 @@ class BagCamera:
             partners: images of another camera, each of which gets the nearest one of this.
         """
         color, depth, options = self.topics.color, self.topics.depth, self.options
-        folder = Folder(source if source.is_dir() else source.parent, options.follow_links)
+        folder = folder_of(source, options.follow_links)
         limit = options.max_time_difference
         color_of_frame, stamps = self._frames(partners)
         depth_of_frame = np.where(color_of_frame < 0, -1, _paired(stamps, self.depths.stamps, limit))
