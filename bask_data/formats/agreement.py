@@ -67,7 +67,7 @@ class _Reading:
     Args:
         options: the options for it, if there are any.
         fix: what to do to the files if there are none.
-        index: pose of each frame, among the poses.
+        scale, is_ray: how depth is read, as in `evidence`.
     """
 
     name: str

@@ -65,15 +65,17 @@ def items_of(item: str, episodes: Sequence[str]) -> dict[str, str]:
     """
     check_name(item, "ingest", "--scene")
     named: dict[str, str] = {}
+    taken: set[str] = set()
     for episode in episodes:
         name = f"{item}_{re.sub(r'[^A-Za-z0-9_-]+', '_', episode)}"
         if len(name) > LONGEST_ITEM:
             fix = "choose a shorter --scene, or name a SOURCE further down."
             raise UsageError("ingest", "--scene", expected=f"at most {LONGEST_ITEM} characters", got=name, fix=fix)
-        if name in named.values():
+        if name in taken:
             fix = "read them one by one, with --episode and a --scene each."
             raise UsageError("ingest", "--episode", expected="episodes of different names", got=f"two {name}", fix=fix)
         named[episode] = name
+        taken.add(name)
     return named
 
 
