@@ -125,7 +125,7 @@ def test_what_the_command_line_imports_is_light(module: str) -> None:
 
 def test_the_doctor_comes_before_anything_is_installed() -> None:
     # Without `site` there is nothing but the standard library.
-    assert "libEGL" in run_python("import bask_data.doctor as d; print(*d.PACKAGE_OF_LIBRARY)", "-S")
+    assert "libEGL" in run_python("import bask_data.doctor.machine as d; print(*d.PACKAGE_OF_LIBRARY)", "-S")
 
 
 # What keeps the code of one kind --------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ def doctor(
 
     Exits with code 5 if something that every command needs is missing.
     """
-    from bask_data import doctor as examiner
+    from bask_data.doctor import machine as examiner
 
     checks = examiner.checks(folder)
     print(examiner.as_json(checks) if json_ else examiner.render(checks))

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from bask_data import doctor
-from bask_data.doctor import Check, Probe
+from bask_data.doctor import machine as doctor
+from bask_data.doctor.machine import Check, Probe
 
 
 def fake_module(folder: Path, name: str, source: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -348,7 +348,3 @@ def main(arguments: list[str]) -> int:
     results = checks()
     print(render(results))
     return 5 if missing(results) else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,95 @@
+"""What the doctor finds: each finding has a code with a fixed severity and meaning, a place, evidence and a fix.
+
+`CODES` is the only list of codes; docs/doctor.md shows it, and scripts may rely on the names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+Severity = Literal["error", "warning", "note"]
+"""error: results will be wrong; warning: look at it; note: good to know, or what cannot be told from the data."""
+
+SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
+"""The worst first."""
+
+
+@dataclass(frozen=True)
+class Code:
+    """What a kind of finding means.
+
+    Args:
+        meaning: one sentence for people who see it for the first time.
+    """
+
+    severity: Severity
+    meaning: str
+
+
+CODES = {
+    # Poses, depth and intrinsics of one camera, judged by warping depth from frame to frame.
+    "other-reading": Code("error", "Depth is sure that the poses are meant another way: direction, axes or order."),
+    "other-unit": Code("error", "Depth is sure that depth or poses are in another unit."),
+    "other-depth": Code("error", "Depth is sure that its values are the length of the ray, not z, or the reverse."),
+    "other-clock": Code(
+        "error", "Depth is sure that the poses are those of other frames, some frames earlier or later."
+    ),
+    "other-intrinsics": Code("error", "Depth is sure that the intrinsics are for images of another size."),
+    "poses-unrelated": Code(
+        "error", "No reading makes depth of one frame meet that of another: these poses do not belong to these images."
+    ),
+    "camera-moved": Code("error", "All poses are the same, but depth changes: the camera moved."),
+    "poses-repeated": Code("warning", "Poses stay the same for some frames while the images change."),
+    "reading-unknown": Code("warning", "How poses are meant cannot be told from this recording."),
+    "axes-unknown": Code("warning", "OpenCV and OpenGL axes cannot be told apart, as the camera only moves sideways."),
+    "unit-unknown": Code("warning", "The unit of depth and poses cannot be told, as the camera hardly translates."),
+    "hardly-moves": Code("note", "The camera hardly moves, so poses cannot be judged."),
+    "few-views": Code("note", "Too few frames overlap to judge poses."),
+    "trusted": Code("note", "What depth objects to was overridden with --trust."),
+}
+"""All codes, by subject."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing found.
+
+    Args:
+        code: one of `CODES`.
+        place: what it is about: `table/wrist`, `table/wrist 12`, `masks of table`, a file.
+        evidence: what was measured, with the number and what is usual.
+        fix: what to do, a command or options where there are any.
+    """
+
+    code: str
+    place: str
+    evidence: str
+    fix: str = ""
+
+    @property
+    def severity(self) -> Severity:
+        """How bad it is."""
+        return CODES[self.code].severity
+
+    @property
+    def meaning(self) -> str:
+        """What the code means."""
+        return CODES[self.code].meaning
+
+    def as_json(self) -> dict[str, str]:
+        """All of it as plain values."""
+        return {
+            "code": self.code,
+            "severity": self.severity,
+            "place": self.place,
+            "meaning": self.meaning,
+            "evidence": self.evidence,
+            "fix": self.fix,
+        }
+
+
+def by_severity(findings: Iterable[Finding]) -> list[Finding]:
+    """The worst first, otherwise in the given order."""
+    return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
