@@ -1,4 +1,4 @@
-"""Whether the judge of readings is ever sure and wrong: `python benchmarks/doctor_statistics.py --runs 200 --seed 1000`.
+"""Whether the judge of readings is ever sure and wrong: `python benchmarks/doctor_statistics.py --seed 1000`.
 
 Random analytic recordings (tests/random_recordings.py) are told in wrong readings, and what `core/readings.py` answers
 is compared with what was done to them. A run is *sure and wrong* if anything it is sure of is not so: the reading
@@ -42,6 +42,7 @@ from benchmarks.told_readings import (
     told,
     unit_is_right,
 )
+from benchmarks.told_recordings import read_table, told_recordings
 from tests.random_recordings import Errors, RandomRecording, random_recording
 
 FACTORS = (10, 0.1, 1000, 0.001, 1 / 256, 1 / 1024, 1 / 4000, 1 / 5000, 1 / 10000)
@@ -221,6 +222,13 @@ def sure_of(made: Judgement, codes: list[str]) -> dict[str, bool]:
     }
 
 
+def runs_of_table(table: Path) -> Iterator[Run]:
+    """Judged runs of real recordings, in all readings; recordings are kinds."""
+    for line in read_table(table):
+        for camera, case, as_told in told_recordings(line):
+            yield judged(camera, 0, case, as_told)
+
+
 def runs_of(suite: str, n_runs: int, seed: int) -> Iterator[Run]:
     """Judged runs of seeds in turn."""
     for each in range(seed, seed + n_runs):
@@ -296,14 +304,18 @@ def main() -> int:
     parser.add_argument("--recordings", type=Path, help="a table of real recordings to judge instead")
     parser.add_argument("--verbose", action="store_true", help="a line per run")
     options = parser.parse_args()
+    suites = {suite: runs_of(suite, options.runs, options.seed) for suite in options.suites}
+    if options.recordings:
+        suites = {"recordings": runs_of_table(options.recordings)}
     everything: list[Run] = []
-    for suite in options.suites:
+    for suite, made in suites.items():
         runs = []
-        for run in runs_of(suite, options.runs, options.seed):
+        for run in made:
             runs.append(run)
             if options.verbose or run.wrong:
                 print(f"{'SURE AND WRONG of ' + ', '.join(run.wrong) if run.wrong else '-'}: {run.line}", flush=True)
-        print(f"\n{suite}: {len(runs)} runs, seeds {options.seed} to {options.seed + len(runs) - 1}")
+        seeds = "" if options.recordings else f", seeds {options.seed} to {options.seed + len(runs) - 1}"
+        print(f"\n{suite}: {len(runs)} runs{seeds}")
         plain = [run for run in runs if run.kind not in EXPECTED]
         print("\n".join([*(summary(plain) if plain else ()), *by_kind(runs)]))
         if suite == "degenerate":

@@ -161,10 +161,10 @@ def _room(rng: np.random.Generator) -> tuple[Bodies, Float[ndarray, "3"], float]
     corner = np.array([half[0] - 0.7, half[1] - 0.7, 0.0])
     for _ in range(int(rng.integers(4, 9))):
         size = rng.uniform([0.1, 0.1, 0.1], [0.4, 0.4, 0.6])
-        where = corner + [*rng.uniform(-0.8, 0.6, 2), 0]
-        boxes.append(_box(where + [0, 0, size[2]], size, rng.uniform(0, np.pi)))
+        where = corner + np.array([*rng.uniform(-0.8, 0.6, 2), 0])
+        boxes.append(_box(where + np.array([0, 0, size[2]]), size, rng.uniform(0, np.pi)))
     balls = [[*(corner[:2] + rng.uniform(-0.8, 0.5, 2)), 0.3, rng.uniform(0.1, 0.3)] for _ in range(3)]
-    return _bodies(boxes, balls), corner + [0, 0, 0.5], rng.uniform(1.3, 1.9)
+    return _bodies(boxes, balls), corner + np.array([0, 0, 0.5]), rng.uniform(1.3, 1.9)
 
 
 def _plane(rng: np.random.Generator) -> tuple[Bodies, Float[ndarray, "3"], float]:
