@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bask_data.artifact import write_text_atomically
+from bask_data.artifact import MANIFEST, write_text_atomically
 from bask_data.dataset import DATASET, Dataset, Source
 from bask_data.engine import (
     Config,
@@ -68,6 +68,7 @@ def compared_files(dataset: Dataset, stages: Sequence[Stage], config: Config) ->
 
 def written_files(dataset: Dataset, stages: Sequence[Stage], config: Config) -> DvcFiles:
     """The rendered files, after writing those that differ and creating the groups above artifacts, for Git."""
+    stages = _listed(dataset, stages, config)
     files = compared_files(dataset, stages, config)
     for name in files.changed:
         write_text_atomically(dataset.root / name, files.texts[name])
@@ -85,7 +86,7 @@ def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[st
     """Content by file name of dvc.yaml, params.yaml and .gitignore in the dataset's directory."""
     import yaml
 
-    stages = list(stages)
+    stages = _listed(dataset, list(stages), config)
     config = _with_kept(dataset, stages, config)
     described: dict[str, Any] = {}
     for scope, kind in (("scene", Scan), ("demonstration", Demonstration)):
@@ -102,6 +103,18 @@ def render(dataset: Dataset, stages: Iterable[Stage], config: Config) -> dict[st
         "params.yaml": params_text(stages, config),
         ".gitignore": _gitignore(dataset.root / ".gitignore"),
     }
+
+
+def _listed(dataset: Dataset, stages: Sequence[Stage], config: Config) -> list[Stage]:
+    """The stages without those made on request only, unless an artifact or a section of parameters shows a request."""
+    kept = _with_kept(dataset, stages, config) if any(stage.on_request for stage in stages) else {}
+    return [
+        stage
+        for stage in stages
+        if not stage.on_request
+        or of_stage(kept, stage.name)
+        or any((dataset.root / stage.makes.kind).glob(f"**/{MANIFEST}"))
+    ]
 
 
 def _with_kept(dataset: Dataset, stages: Sequence[Stage], config: Config) -> Config:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,12 +12,13 @@ import yaml
 from bask_data.config import load_config
 from bask_data.dataset import Dataset, Variant
 from bask_data.dvc import compared_files, render, written_files
-from bask_data.engine import RunRequest, own_parameters, planned, record_requested
+from bask_data.engine import RunRequest, own_parameters, planned, record_requested, run_pipeline
 from bask_data.errors import UsageError
 from bask_data.kinds import KeypointTrack
 from bask_data.pipeline import STAGES
 from tests.datasets import add_scan
 from tests.tiny import PARAMS, write_recording
+from tests.toy_stages import fuse, pick
 
 BIN = Path(sys.executable).parent
 
@@ -156,3 +158,13 @@ def test_an_option_given_after_rendering_is_kept_and_rendered(tmp_path: Path) ->
     written_files(dataset, STAGES, {})
     assert own_parameters(dataset.root, STAGES)["reconstruct"]["voxel_size"] == 0.01
     compared_files(dataset, STAGES, {}).refuse_changed()
+
+
+def test_a_stage_on_request_is_described_once_there_is_a_request(dataset: Dataset) -> None:
+    stages = (fuse, replace(pick, on_request=True))
+    texts = render(dataset, stages, {})
+    assert "pick" not in texts["dvc.yaml"] and "pick:" not in texts["params.yaml"]
+    list(run_pipeline(dataset, stages, RunRequest(stages=("fuse",))))
+    list(run_pipeline(dataset, stages, RunRequest(stages=("pick",), only=("a",))))
+    texts = render(dataset, stages, {})
+    assert "pick-a" in texts["dvc.yaml"] and "pick:" in texts["params.yaml"]

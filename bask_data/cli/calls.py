@@ -31,7 +31,8 @@ class StageCall:
     def following(self) -> str:
         """The command to run next: the first stage that reads this one's artifacts, with the same variants."""
         root, makes, request = quoted(self.dataset.root), self.stage.makes, self.request
-        later = [other for other in STAGES if makes in [input_.artifact for input_ in other.inputs]]
+        required = [stage for stage in STAGES if not stage.on_request]
+        later = [other for other in required if makes in [input_.artifact for input_ in other.inputs]]
         if not later:
             return f"bask-data report {root}"
         own = {input_.artifact.kind for input_ in self.stage.inputs if input_.artifact.has_variants}

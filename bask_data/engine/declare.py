@@ -25,7 +25,11 @@ class Input:
 
 @dataclass(frozen=True)
 class Stage:
-    """A declared stage; callable like the function it was declared from."""
+    """A declared stage; callable like the function it was declared from.
+
+    Args:
+        on_request: made only when it is asked for by name; `run` and `status` keep up to date what exists.
+    """
 
     name: str
     makes: type[Artifact]
@@ -37,6 +41,7 @@ class Stage:
     wants_splits: bool
     function: Callable[..., None]
     help: str
+    on_request: bool = False
 
     def __call__(self, *args: Any, **kwargs: Any) -> None:
         self.function(*args, **kwargs)
@@ -51,7 +56,12 @@ def _load_stage(module: str, name: str) -> Stage:
 
 
 def stage(
-    *, makes: type[Artifact], version: int, resumable: bool = False, together: bool = False
+    *,
+    makes: type[Artifact],
+    version: int,
+    resumable: bool = False,
+    together: bool = False,
+    on_request: bool = False,
 ) -> Callable[[Callable[..., None]], Stage]:
     """Declare a function as the stage that makes a kind.
 
@@ -59,6 +69,7 @@ def stage(
         version: to be raised by hand when the results change; part of the skip key.
         resumable: after a kill, `out` still holds what the last attempt with the same key wrote.
         together: several processes started by torchrun can make one artifact. All are called; the first one writes.
+        on_request: made only when it is asked for by name; `run` and `status` keep up to date what exists.
     """
 
     def declare(function: Callable[..., None]) -> Stage:
@@ -89,6 +100,7 @@ def stage(
             wants_splits=wants_splits,
             function=function,
             help=(function.__doc__ or "").strip(),
+            on_request=on_request,
         )
 
     return declare

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from bask_data.artifact import MANIFEST
 from bask_data.dataset import Dataset, Variant
 from bask_data.engine.declare import Stage
 from bask_data.engine.making import Outcome, Position, make, predicted, run
@@ -107,6 +108,10 @@ def planned(dataset: Dataset, stages: Sequence[Stage], request: RunRequest) -> l
                 variant_inputs=request.variant_inputs,
                 requested=Requested(parameters=recorded, files=requested.files),
             )
+            if stage.on_request and stage.name not in request.stages:
+                tasks = [task for task in tasks if (task.target / MANIFEST).exists()]
+                if not tasks:
+                    continue
             batches.append(PlannedStage(stage, variant, tasks))
     return batches
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,21 @@ def test_a_bad_parameter_of_a_late_stage_is_refused_before_anything_is_made(data
     with pytest.raises(UsageError, match="pick: n: expected"):
         run_pipeline(dataset, STAGES, RunRequest(given={"pick": {"n": 1}}))
     assert not (dataset.root / "reconstruction").exists()
+
+
+def test_a_stage_on_request_is_made_when_named_and_then_kept_up_to_date(dataset: Dataset) -> None:
+    stages = (fuse, replace(pick, on_request=True))
+    assert [outcome.label for outcome in run_pipeline(dataset, stages)] == ["fuse a", "fuse b"]
+    assert [standing.label for standing in status(dataset, stages)] == ["fuse a", "fuse b"]
+    list(run_pipeline(dataset, stages, RunRequest(stages=("pick",), only=("b",))))
+    changed = RunRequest(given={"fuse": {"voxel_size": 0.2}})
+    assert [standing.label for standing in status(dataset, stages)] == ["fuse a", "fuse b", "pick b"]
+    outcomes = list(run_pipeline(dataset, stages, changed))
+    assert [(each.label, each.status) for each in outcomes] == [
+        ("fuse a", "made"),
+        ("fuse b", "made"),
+        ("pick b", "made"),
+    ]
 
 
 def test_dry_run_names_the_inputs_made_before(dataset: Dataset) -> None:
