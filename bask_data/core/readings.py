@@ -1,23 +1,35 @@
 """Which reading of poses, units, intrinsics and clock the depth of a camera supports, and how sure that is.
 
 Depth of a frame, warped into another under a hypothesis, meets what was measured there if the hypothesis is right. No
-noise level is chosen, see `warped_depth`; hypotheses are compared pair of frames by pair of frames.
+noise level is chosen, see `warped_depth`; hypotheses are compared pair of frames by pair of frames. One is sure only if
+it beats all rivals, also those that the camera did not move, or only turned.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float, Float32
 from numpy import ndarray
 
-from bask_data.core.geometry import invert_rigid
-from bask_data.core.readings_hypotheses import Hypothesis
-from bask_data.core.warped_depth import depth_view, evidence
-from bask_data.findings import Finding
+from bask_data.core.readings_evidence import PairedViews
+from bask_data.core.readings_hypotheses import Readings
+from bask_data.core.readings_judgement import Camera, Judgement, judgement, without_views
+from bask_data.core.readings_search import Space, other_sizes, scales, searched
+from bask_data.core.readings_verdict import verdict
+from bask_data.core.warped_depth import DepthView, depth_view
+
+GAPS = (1, 2, 4, 8, 16, 32, 64)
+"""Distances between the frames of a pair: near ones overlap, far ones tell readings apart."""
+
+MOST_LAG = 4
+"""Frames by which a clock may be off."""
+
+MOST_PIXELS = 640 * 480
+"""Of depth that is kept in memory per frame; of larger images every other pixel, or fewer. Sensitivity not measured."""
 
 
 @dataclass(frozen=True)
@@ -31,35 +43,6 @@ class JudgeSettings:
 
     n_points: int = 900
     n_pairs: int = 36
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """What depth says about the way a camera's recording was read.
-
-    Args:
-        told, share: mean evidence, in [0, 1], of the recording as read and of the best hypothesis.
-        best: the hypothesis that fits best; the default one is "as read".
-        n_pairs: pairs of frames that were compared.
-        sure_of_reading, sure_of_unit, sure_of_clock, sure_of_intrinsics: whether `best` beats all that differ in it.
-        rivals: what cannot be told from the best one, in words.
-    """
-
-    told: float
-    share: float
-    best: Hypothesis
-    n_pairs: int
-    sure_of_reading: bool = False
-    sure_of_unit: bool = False
-    sure_of_clock: bool = False
-    sure_of_intrinsics: bool = False
-    rivals: tuple[str, ...] = ()
-    codes: tuple[str, ...] = ()
-    details: Mapping[str, str] = field(default_factory=dict)
-
-    def findings(self, place: str) -> list[Finding]:
-        """What is wrong, or cannot be told, with evidence; `place` is the camera: `table/wrist`."""
-        return [Finding(code, place, self.details.get(code, "")) for code in self.codes]
 
 
 def judge(
@@ -84,13 +67,48 @@ def judge(
         otherwise: `world_from_cameras` under other readings of the same files, by the options for them.
         is_ray: whether depth was read as the length of the ray, and converted.
     """
-    starts = np.unique(np.linspace(0, max(n_frames - 2, 0), settings.n_pairs).astype(int))
-    pairs = [(int(i), int(i) + 1) for i in starts if n_frames > 1]
+    pairs = _pairs(n_frames, settings.n_pairs)
     if not pairs:
-        return Judgement(0.0, 0.0, Hypothesis(), 0, codes=("few-views",))
-    views = {
-        i: depth_view(read_depth(i), Ks[i], settings.n_points) for i in sorted({i for pair in pairs for i in pair})
-    }
-    poses = world_from_cameras
-    told = float(np.mean([evidence(views[a], views[b], invert_rigid(poses[b]) @ poses[a]) for a, b in pairs]))
-    return Judgement(told, told, Hypothesis(), len(pairs))
+        return without_views(Ks[0])
+    views, size = {}, (0, 0)
+    for i in sorted({i for pair in pairs for i in pair}):
+        depth = read_depth(i)
+        views[i], size = _view(depth, Ks[i], settings.n_points), depth.shape
+    readings = Readings.of(world_from_cameras, otherwise)
+    lags = _lags(n_frames)
+    paired = PairedViews(views, pairs, readings.poses, lags)
+    space = Space(
+        readings=tuple(range(len(readings.poses))),
+        scales=scales(),
+        K_factors=((1.0, 1.0), *other_sizes(Ks[0], size)),
+        lags=lags,
+        rays=(0, -1 if is_ray else 1),
+    )
+    trials, met, seen = searched(paired, space)
+    camera = Camera(world_from_cameras, readings, paired, Ks[0])
+    return judgement(camera, verdict(paired, trials, met, seen))
+
+
+def _pairs(n_frames: int, n_pairs: int) -> list[tuple[int, int]]:
+    """Pairs of frames at doubling distances, spread over the recording."""
+    gaps = [gap for gap in GAPS if gap < n_frames]
+    pairs = []
+    for gap in gaps:
+        margin = min(MOST_LAG, (n_frames - gap) // 8)
+        n_starts = min(-(-n_pairs // len(gaps)), n_frames - gap)
+        starts = np.linspace(margin, n_frames - 1 - gap - margin, n_starts).astype(int)
+        pairs += [(int(i), int(i) + gap) for i in np.unique(starts)]
+    return pairs
+
+
+def _lags(n_frames: int) -> tuple[int, ...]:
+    """Frames by which the clock may be off: 0 first, few if there are few frames."""
+    most = min(MOST_LAG, n_frames // 4)
+    return (0, *(lag for lag in range(-most, most + 1) if lag))
+
+
+def _view(depth: Float32[ndarray, "h w"], K: Float[ndarray, "3 3"], n_points: int) -> DepthView:
+    step = int(np.ceil(np.sqrt(depth.size / MOST_PIXELS)))
+    K_thinned = K.copy()
+    K_thinned[:2] /= step
+    return depth_view(np.ascontiguousarray(depth[::step, ::step], np.float32), K_thinned, n_points)

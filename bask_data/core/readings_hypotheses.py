@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from itertools import product
 from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from bask_data.core.geometry import invert_rigid
+from bask_data.core.readings_evidence import Trial
 
 RayIs = Literal["as read", "ray", "z"]
 """What depth values are: as read; read as z, but lengths of the ray; read as lengths of the ray, but z."""
@@ -69,3 +78,91 @@ class Hypothesis:
             "ray": "depth along z" if self.ray == "z" else "depth along the ray",
         }
         return ", ".join(said[name] for name in said if name in self.departures) or "as read"
+
+
+FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
+"""From OpenCV's camera axes to OpenGL's, and back."""
+
+MIRRORED = np.diag([1.0, -1.0, 1.0, 1.0])
+"""From a left-handed world and camera to right-handed ones."""
+
+
+@dataclass(frozen=True)
+class Readings:
+    """World_from_cameras under each way that poses might be meant, the one as read first.
+
+    Args:
+        names: the fields of `Hypothesis` that say which.
+        options: options of the format for a reading, and for another unit of its positions, by reading and factor.
+    """
+
+    poses: tuple[Float[ndarray, "t 4 4"], ...]
+    names: tuple[Hypothesis, ...]
+    options: dict[tuple[int, float], str]
+
+    @classmethod
+    def of(cls, told: Float[ndarray, "t 4 4"], otherwise: Mapping[str, Float[ndarray, "t 4 4"]]) -> Readings:
+        """Those in general, and those of the format that are not among them."""
+        poses, names = [], []
+        for inverted, flipped, mirrored in product((False, True), repeat=3):
+            meant = invert_rigid(told) if inverted else told
+            meant = meant @ FLIPPED if flipped else meant
+            poses.append(MIRRORED @ meant @ MIRRORED if mirrored else meant)
+            names.append(Hypothesis(inverted, flipped, mirrored))
+        options: dict[tuple[int, float], str] = {}
+        for option, other in otherwise.items():
+            known = [(i, factor) for i, each in enumerate(poses) if (factor := _pose_factor(each, other))]
+            new = [key for key in known if key not in options]
+            if new:
+                options[new[0]] = option
+            elif not known:
+                options[len(poses), 1.0] = option
+                poses.append(other)
+                names.append(Hypothesis(otherwise=option))
+        return cls(tuple(poses), tuple(names), options)
+
+    def option(self, reading: int, pose_factor: float) -> str:
+        """Options for a reading and a unit of its positions; only for the reading if there are none for both."""
+        both = [
+            text for (i, factor), text in self.options.items() if i == reading and abs(factor / pose_factor - 1) < 0.01
+        ]
+        return (both or [self.options.get((reading, 1.0), "")])[0]
+
+
+SAME_MOTION = 1e-5
+"""Difference of rotations, and share of the distances, up to which two readings of poses are the same."""
+
+
+def _pose_factor(told: Float[ndarray, "t 4 4"], other: Float[ndarray, "t 4 4"]) -> float:
+    """Factor by which positions are larger under another reading that is the same otherwise; 0 if it is not."""
+    a, b = invert_rigid(told[:1]) @ told, invert_rigid(other[:1]) @ other
+    if np.abs(a[:, :3, :3] - b[:, :3, :3]).max() > SAME_MOTION:
+        return 0.0
+    along = float((a[:, :3, 3] ** 2).sum())
+    factor = float((a[:, :3, 3] * b[:, :3, 3]).sum()) / along if along > 0 else 1.0
+    apart = np.abs(factor * a[:, :3, 3] - b[:, :3, 3]).max()
+    return round(factor, 6) if factor > 0 and apart <= SAME_MOTION * max(np.abs(b[:, :3, 3]).max(), 1e-9) else 0.0
+
+
+PLAUSIBLE_SCENE = (0.05, 20.0)
+"""Median depth, metres, of scenes that are recorded."""
+
+POSE_FACTORS = (1e-3, 1e-2, 1e2, 1e3)
+"""Units of positions that are mixed up: millimetres, centimetres and metres."""
+
+
+def hypothesis_of(trial: Trial, readings: Readings, median_depth: float) -> Hypothesis:
+    """A trial in the terms of users. Whether depth or poses are in another unit is told by how far the scene is."""
+    nearest, farthest = PLAUSIBLE_SCENE
+    pose_factor = round(1 / trial.scale, 9) if trial.scale else 1.0
+    is_pose = nearest <= median_depth <= farthest and any(abs(pose_factor / each - 1) < 0.01 for each in POSE_FACTORS)
+    if not nearest <= median_depth * trial.scale <= farthest and nearest <= median_depth <= farthest:
+        is_pose = True
+    return replace(
+        readings.names[trial.reading],
+        depth_factor=1.0 if is_pose else trial.scale,
+        pose_factor=pose_factor if is_pose else 1.0,
+        K_factor=trial.K_factor,
+        lag=trial.lag,
+        ray={0: "as read", 1: "ray", -1: "z"}[trial.ray],  # type: ignore[arg-type]
+    )

@@ -1,0 +1,267 @@
+"""What a verdict about a recording's readings means to its user: codes, numbers, and the options that fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from bask_data.core.geometry import view_change
+from bask_data.core.readings_evidence import RESTING, PairedViews, Trial
+from bask_data.core.readings_hypotheses import Hypothesis, Readings, hypothesis_of
+from bask_data.core.readings_verdict import LEAST_PAIRS, POOR_EVIDENCE, Verdict
+from bask_data.findings import CODES, Finding
+
+CERTAIN_PAIRS = 12
+"""Pairs below which it is not said that nothing fits: few frames may hardly overlap."""
+
+HARDLY = 0.03
+"""Share of the scene's distance, or angle in radians, up to which a camera hardly moves: pixels of a depth camera of
+640x480 move by some fifteen then, and noise of depth and poses is as large. Sensitivity not measured."""
+
+Offer = Callable[[Hypothesis], str]
+"""Options that read a recording under a hypothesis; empty if there are none."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """What a judgement needs besides the verdict.
+
+    Args:
+        world_from_cameras: as read.
+        K: of the first frame, pixels.
+    """
+
+    world_from_cameras: Float[ndarray, "t 4 4"]
+    readings: Readings
+    views: PairedViews
+    K: Float[ndarray, "3 3"]
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What depth says about the way a camera's recording was read.
+
+    Args:
+        told, share: mean evidence, in [0, 1], of the recording as read and of the best hypothesis.
+        best: the hypothesis that fits best; the default one is "as read".
+        n_pairs: pairs of frames that overlap under it.
+        sure_of_reading, sure_of_unit, sure_of_clock, sure_of_intrinsics: whether `best` beats all that differ in it.
+        rivals: what cannot be told from the best one, in words.
+        option: the format's options for the best reading of poses, if it needs any.
+        K: intrinsics of the first frame under the best hypothesis, pixels.
+        reasons: why, by code, in words and numbers.
+    """
+
+    told: float
+    share: float
+    best: Hypothesis
+    n_pairs: int
+    sure_of_reading: bool
+    sure_of_unit: bool
+    sure_of_clock: bool
+    sure_of_intrinsics: bool
+    rivals: tuple[str, ...]
+    option: str
+    K: Float[ndarray, "3 3"]
+    reasons: dict[str, str]
+
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """Those of `bask_data.findings.CODES` that apply."""
+        return tuple(self.reasons)
+
+    @property
+    def objections(self) -> tuple[str, ...]:
+        """The codes that say that the recording was read wrongly."""
+        return tuple(code for code in self.reasons if CODES[code].severity == "error")
+
+    @property
+    def evidence(self) -> str:
+        """The numbers: how well the recording as read fits, and what fits better."""
+        told = f"{self.told:.0%} of the depth of a frame, warped into another, meets what was measured there"
+        if self.best.departures:
+            return f"{told}; with {self.best.words} it would be {self.share:.0%} ({self.n_pairs} pairs)"
+        return f"{told} ({self.n_pairs} pairs)"
+
+    def findings(self, place: str, offer: Offer = lambda hypothesis: "") -> list[Finding]:
+        """What is wrong, or cannot be told, with evidence and fix.
+
+        Args:
+            place: the camera: `table/wrist`.
+            offer: options for the best hypothesis.
+        """
+        fix = self.fix(offer)
+        return [
+            Finding(code, place, reason, fix if code in self.objections else _ADVICE.get(code, ""))
+            for code, reason in self.reasons.items()
+        ]
+
+    def fix(self, offer: Offer = lambda hypothesis: "") -> str:
+        """What to do about all objections together."""
+        if not self.objections:
+            return ""
+        if {"poses-unrelated", "camera-moved"} & set(self.objections):
+            return _ADVICE[self.objections[0]]
+        options = offer(self.best)
+        return f"pass {options}" if options else "; ".join(self._mended())
+
+    def _mended(self) -> list[str]:
+        """What to change in the files, for what no option states."""
+        best, said = self.best, []
+        if best.reading != Hypothesis().reading:
+            said.append(f"convert the poses, which mean {self.option or best.words}")
+        if best.depth_factor != 1:
+            said.append(f"correct the unit of depth in the files: depth {best.depth_factor:.4g} times as large")
+        if best.pose_factor != 1:
+            said.append(f"scale the positions of the poses to metres, by about {best.pose_factor:.3g}")
+        if "other-depth" in self.objections:
+            said.append("read depth with --depth-is ray" if best.ray == "ray" else "leave out --depth-is ray")
+        if "other-intrinsics" in self.objections:
+            values = ",".join(f"{value:.6g}" for value in (*np.diag(self.K)[:2], *self.K[:2, 2]))
+            said.append(f"give the intrinsics of these images: {values}")
+        if "other-clock" in self.objections:
+            frames = f"{abs(best.lag)} {'frame' if abs(best.lag) == 1 else 'frames'}"
+            said.append(f"give each frame the pose that stands {frames} {'later' if best.lag > 0 else 'earlier'}")
+        return said
+
+
+_ADVICE = {
+    "poses-unrelated": "check that poses, depth and intrinsics belong together, and depth's unit",
+    "camera-moved": "pass the poses of this recording, one for each frame",
+    "poses-repeated": "leave out the frames whose poses were not updated, with --frames",
+    "reading-unknown": "check the conventions of the poses yourself: their direction, axes and order",
+    "axes-unknown": "check whether the camera's axes are those of OpenCV or of OpenGL",
+    "unit-unknown": "check the units of depth and poses; move the camera sideways when recording again",
+    "hardly-moves": "check the conventions yourself; move the camera around the scene when recording again",
+    "few-views": "check the conventions yourself; record more frames that see the same things",
+}
+
+
+def without_views(K: Float[ndarray, "3 3"]) -> Judgement:
+    """The judgement of a camera with a single frame."""
+    reasons = {"few-views": "a single frame has nothing to compare its pose with, and shows objects from one side"}
+    return Judgement(0.0, 0.0, Hypothesis(), 0, False, False, False, False, (), "", K, reasons)
+
+
+def judgement(camera: Camera, found: Verdict) -> Judgement:
+    """What a verdict means."""
+    best = hypothesis_of(found.trial, camera.readings, camera.views.median_depth())
+    reasons = _Reasons(camera, found, best).all()
+    kx, ky = best.K_factor
+    K = camera.K * np.array([[kx], [ky], [1.0]])
+    K[:2, 2] += np.array([kx, ky]) / 2 - 0.5
+    return Judgement(
+        told=float(found.mean[found.trials.index(Trial(0))]),
+        share=found.share,
+        best=best,
+        n_pairs=found.overlapping,
+        sure_of_reading=found.sure_of_reading,
+        sure_of_unit=found.sure_of_unit,
+        sure_of_clock=found.sure_of_clock,
+        sure_of_intrinsics=found.sure_of_intrinsics,
+        rivals=tuple(dict.fromkeys(_words(trial, camera) for trial in found.unbeaten)),
+        option=camera.readings.option(found.trial.reading, best.pose_factor),
+        K=K,
+        reasons=reasons,
+    )
+
+
+def _words(trial: Trial, camera: Camera) -> str:
+    return hypothesis_of(trial, camera.readings, camera.views.median_depth()).words
+
+
+@dataclass(frozen=True)
+class _Reasons:
+    """Codes for a verdict, with the numbers behind them."""
+
+    camera: Camera
+    found: Verdict
+    best: Hypothesis
+
+    def all(self) -> dict[str, str]:
+        """By code, in the order of importance."""
+        n, told = len(self.camera.views.pairs), float(self.found.mean[self.found.trials.index(Trial(0))])
+        if n < LEAST_PAIRS:
+            return {"few-views": f"{n} pairs of frames; {LEAST_PAIRS} are needed"}
+        distance, angle = self._motion()
+        if distance.max() < 1e-9 and angle.max() < 1e-6:
+            return self._resting()
+        if self.found.overlapping < LEAST_PAIRS:
+            return {"few-views": f"{self.found.overlapping} of {n} pairs of frames see the same things"}
+        if self.found.share < POOR_EVIDENCE and n >= CERTAIN_PAIRS:
+            share = f"{told:.0%} of the depth of a frame, warped into another, meets what was measured there"
+            return {
+                "poses-unrelated": f"{share}; no reading, unit, clock or size of intrinsics gives more than "
+                f"{self.found.share:.0%}; 30 to 90 % are usual"
+            }
+        if not self.found.moved:
+            return self._unmoved(distance, angle)
+        return self._reading() | self._unit() | self._rest()
+
+    def _motion(self) -> tuple[Float[ndarray, " p"], Float[ndarray, " p"]]:
+        """Distance, as a share of the scene's, and angle between the cameras of each pair by the poses as read."""
+        a, b = np.array(self.camera.views.pairs).T
+        poses = self.camera.world_from_cameras
+        distance, angle = view_change(poses[a], poses[b])
+        return distance / max(self.camera.views.median_depth(), 1e-9), angle
+
+    def _resting(self) -> dict[str, str]:
+        share = float(self.found.mean[self.found.trials.index(Trial(RESTING))])
+        n = self.found.overlapping
+        if share < POOR_EVIDENCE and n >= CERTAIN_PAIRS:
+            text = f"all poses are the same, but only {share:.0%} of depth stays where it is ({n} pairs)"
+            return {"camera-moved": text}
+        return {"hardly-moves": "the camera does not move, so nothing shows how its pose is meant"}
+
+    def _unmoved(self, distance: Float[ndarray, " p"], angle: Float[ndarray, " p"]) -> dict[str, str]:
+        moved = f"{np.quantile(distance, 0.8):.1%} of the scene's distance and {np.degrees(np.quantile(angle, 0.8)):.1f} degrees"
+        if np.quantile(distance, 0.8) < HARDLY and np.quantile(angle, 0.8) < HARDLY:
+            return {"hardly-moves": f"the camera moves by {moved} at most, too little to tell how poses are meant"}
+        share = f"a camera that does not move explains depth as well as the best reading ({self.found.share:.0%})"
+        return {"reading-unknown": f"{share}, though the poses move by {moved}"}
+
+    def _reading(self) -> dict[str, str]:
+        found = self.found
+        if found.sure_of_reading:
+            return {"other-reading": self._better()} if found.trial.reading != 0 else {}
+        names = self.camera.readings.names
+        rivals = [names[trial.reading] for trial in found.unbeaten if trial.reading != found.trial.reading]
+        words = " or ".join(dict.fromkeys(each.words for each in [self.best, *rivals][:4]))
+        text = f"depth fits as well with {words} ({found.share:.0%}, {found.overlapping} pairs)"
+        is_axes = all((each.inverted, each.otherwise) == (self.best.inverted, self.best.otherwise) for each in rivals)
+        return {"axes-unknown" if is_axes else "reading-unknown": text}
+
+    def _unit(self) -> dict[str, str]:
+        found = self.found
+        if found.sure_of_unit:
+            return {} if found.trial.scale == 1 else {"other-unit": self._better()}
+        if not found.sure_of_reading:
+            return {}
+        if not found.translates:
+            return {"unit-unknown": "a camera that only turns explains depth as well"}
+        if found.is_off_scale:
+            return {
+                "unit-unknown": f"depth fits best if the poses are {1 / found.fine:.2g} times as large, no usual unit"
+            }
+        return {"unit-unknown": "another unit explains depth as well"}
+
+    def _rest(self) -> dict[str, str]:
+        """Clock, intrinsics, and what depth measures."""
+        found = self.found
+        if not found.sure_of_reading:
+            return {}
+        is_other = {
+            "other-depth": found.trial.ray != 0 and found.sure_of_ray,
+            "other-clock": found.trial.lag != 0 and found.sure_of_clock,
+            "other-intrinsics": found.trial.K_factor != (1.0, 1.0) and found.sure_of_intrinsics,
+        }
+        return {code: self._better() for code, is_so in is_other.items() if is_so}
+
+    def _better(self) -> str:
+        told = float(self.found.mean[self.found.trials.index(Trial(0))])
+        share = f"{told:.0%} of the depth of a frame, warped into another, meets what was measured there"
+        return f"{share}; with {self.best.words} it would be {self.found.share:.0%} ({self.found.overlapping} pairs)"
