@@ -47,6 +47,8 @@ CODES = {
     "unit-unknown": Code("warning", "The unit of depth and poses cannot be told, as the camera hardly translates."),
     "hardly-moves": Code("note", "The camera hardly moves, so poses cannot be judged."),
     "few-views": Code("note", "Too few frames overlap to judge poses."),
+    "depth-shifted": Code("warning", "Depth does not lie on colour; masks will lie beside the objects."),
+    "registration-unknown": Code("note", "Whether depth lies on colour cannot be told from the images."),
     "trusted": Code("note", "What depth objects to was overridden with --trust."),
 }
 """All codes, by subject."""

@@ -15,33 +15,47 @@ K = intrinsics(HEIGHT, WIDTH)
 POSES = orbit(4, elevation_deg=(20, 45))
 
 
-def camera(shift: tuple[int, int] = (0, 0), plain: bool = False) -> CameraRecording:
-    """An analytic camera, whose colour is moved by (u, v) pixels against its depth."""
-    views = [tabletop(5).render(K, pose, HEIGHT, WIDTH) for pose in POSES]
+VIEWS = [tabletop(5).render(K, pose, HEIGHT, WIDTH) for pose in POSES]
+
+
+def camera(shift: tuple[int, int] = (0, 0), colors: str = "texture") -> CameraRecording:
+    """An analytic camera, whose colour is moved by (u, v) pixels against its depth.
+
+    Args:
+        colors: `texture`; `objects`: one colour for each, so that their outlines are the edges; or `plain`.
+    """
 
     def read(i: int) -> tuple[np.ndarray, np.ndarray]:
-        flat = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
-        # Objects of one colour each, so that their outlines are the edges of colour.
-        rgb = flat if plain else np.take(np.arange(6)[:, None] * 40 + np.uint8([30, 10, 0]), views[i].instance, axis=0)
-        return np.roll(rgb, shift[::-1], axis=(0, 1)).astype(np.uint8), np.rint(1e4 * views[i].depth).astype(np.uint16)
+        rgb = {
+            "texture": VIEWS[i].rgb,
+            "objects": np.take(np.arange(6)[:, None] * 40 + np.uint8([30, 10, 0]), VIEWS[i].instance, axis=0),
+            "plain": np.full((HEIGHT, WIDTH, 3), 90, np.uint8),
+        }[colors]
+        return np.roll(rgb, shift[::-1], axis=(0, 1)).astype(np.uint8), np.rint(1e4 * VIEWS[i].depth).astype(np.uint16)
 
     return CameraRecording("c", K, HEIGHT, WIDTH, 1e-4, POSES, np.arange(4.0), read, lambda i: read(i)[1])
 
 
-def test_depth_on_colour_fits() -> None:
-    found = registration(camera())
-    assert (found.verdict, found.n_frames) == ("fits", 4)
+@pytest.mark.parametrize(
+    ("colors", "poses_fit", "by"),
+    [("texture", True, "colours of the same surface in two views"), ("objects", False, "the edges of 4 frames")],
+)
+def test_depth_on_colour_fits(colors: str, poses_fit: bool, by: str) -> None:
+    found = registration(camera(colors=colors), poses_fit)
+    assert (found.verdict, found.by, found.findings("table")) == ("fits", by, [])
 
 
 @pytest.mark.parametrize("shift", [(9, -4), (-7, 10)])
-def test_depth_beside_colour_is_found_with_its_shift(shift: tuple[int, int]) -> None:
-    found = registration(camera(shift))
+@pytest.mark.parametrize(("colors", "poses_fit"), [("texture", True), ("objects", False)])
+def test_depth_beside_colour_is_found_with_its_shift(shift: tuple[int, int], colors: str, poses_fit: bool) -> None:
+    found = registration(camera(shift, colors), poses_fit)
     assert found.verdict == "shifted" and np.abs(np.subtract(found.shift, shift)).max() <= 1
-    assert f"{np.hypot(*shift):.0f} pixels away" in found.text
+    (finding,) = found.findings("table")
+    assert finding.code == "depth-shifted" and f"u {found.shift[0]:+d}, v {found.shift[1]:+d}" in finding.evidence
 
 
 def test_colour_without_edges_tells_nothing() -> None:
-    assert registration(camera(plain=True)).verdict == "cannot tell"
+    assert registration(camera(colors="plain")).verdict == "cannot tell"
 
 
 def test_the_picture_shows_depths_edges_over_colour(tmp_path: Path) -> None:
