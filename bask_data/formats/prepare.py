@@ -92,7 +92,9 @@ def prepared(
             ready, otherwise, scale_option=scale_option, is_ray=options.depth_is == "ray"
         )
         assumptions[f"{prefix}agreement"] = agreements[camera.name].text
-        assumptions[f"{prefix}registration"] = registration(ready).text
+        assumptions[f"{prefix}registration"] = registration(
+            ready, agreements[camera.name].verdict in ("fits", "cannot tell")
+        ).text
         if not options.trust:
             agreements[camera.name].refuse(source, camera.name)
         for kept_images in images:
