@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))  # The faults are among the tests.
 
-from bask_data.cli import app
+from bask_data.cli.app import app
 from tests.faulty_datasets import DATASET_FAULTS, Content, take, write_dataset
 from tests.faulty_recordings import FAULTS, Frames, clean_frames
 
