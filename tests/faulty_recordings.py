@@ -270,7 +270,7 @@ FAULTS = (
     Fault("quaternions w x y z", ("other-reading",), _read_with(quaternions=True)),
     Fault("transposed", ("unreadable",), _with_poses(_transposed)),
     Fault("depth ten times", ("other-unit",), _with_depth(lambda depth: depth * 10)),
-    Fault("depth a thousandth", ("other-unit",), _read_with(options=("--depth-scale", "0.000001"))),
+    Fault("depth a thousandth", ("other-unit", "unreadable"), _read_with(options=("--depth-scale", "0.000001"))),
     Fault("poses in millimetres", ("other-unit",), _with_poses(_in_mm)),
     Fault("depth along rays", ("other-depth",), _rays),
     Fault("intrinsics of half the size", ("other-intrinsics", "unreadable"), _with_K(0.5)),
