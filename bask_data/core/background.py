@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from bask_data.core.footprint import footprint
 from bask_data.core.planes import (
     Plane,
     PlaneSearch,
@@ -21,6 +22,7 @@ from bask_data.core.planes import (
     preference,
     refine,
 )
+from bask_data.core.sightings import PosedDepth
 
 Support = Literal["planes", "plane", "none"]
 """The support and walls are background, the support alone is, or nothing is."""
@@ -82,6 +84,8 @@ class Background:
         support: None without one.
         structure: walls, and level planes too long for an object.
         low: height above the support, metres, from which surface is foreground.
+        outside: metres by which vertices lie beyond the part of the support that was seen, negative above it; None
+            without a support.
         warnings: for the user, one sentence each.
     """
 
@@ -90,6 +94,7 @@ class Background:
     support: Plane | None = None
     structure: tuple[Plane, ...] = ()
     low: float = 0.0
+    outside: Float[ndarray, "n"] | None = None
     warnings: tuple[str, ...] = ()
 
 
@@ -127,6 +132,7 @@ class BackgroundSettings:
             the noise to 1 m.
         margin: metres by which an object may project beyond the seen support.
         max_extent: greatest length of an object, metres; the default assumes a tabletop.
+        views: some frames, to tell what is hidden from what is empty.
     """
 
     voxel_size: float
@@ -138,6 +144,7 @@ class BackgroundSettings:
     above: tuple[float, float] | None = None
     margin: float = 0.0
     max_extent: float = 0.6
+    views: tuple[PosedDepth, ...] = ()
 
 
 def find_background(
@@ -167,18 +174,13 @@ def find_background(
     floor = on_plane(surface.points, surface.normals, found.plane, max(inlier, cut)) & real
     # Walls stand on the rim of the floor: half of their surface is beside it.
     beside = over.copy()
+    ground = footprint(found.plane, surface.points[floor], surface.areas[floor], settings.views)
+    outside = ground.outside(surface.points)
     if plane is None:
-        for chosen, wider in ((beside, 2 * inlier), (over, 0.0)):
-            chosen[chosen] = above_footprint(
-                surface.points[chosen],
-                found.plane,
-                surface.points[floor],
-                surface.areas[floor],
-                settings.margin + wider,
-            )
-        warnings += _beside_the_support(
-            surface, real & (heights > low) & (heights < high), over, floor, found, settings
-        )
+        beside &= outside <= settings.margin + 2 * inlier
+        over &= outside <= settings.margin
+        raised = real & (heights > low) & (heights < high)
+        warnings += _beside_the_support(surface.areas, raised, over, outside, settings.margin)
     structure: list[Plane] = []
     if settings.support == "planes":
         for wall, is_wall in walls(
@@ -192,33 +194,25 @@ def find_background(
                 over &= apart > -depth
             structure.append(wall)
     feet = over & (heights <= min(low, HIGHEST_FOOT))
-    return Background(over & (heights > low), feet, found, tuple(structure), low, warnings)
+    return Background(over & (heights > low), feet, found, tuple(structure), low, outside, warnings)
 
 
 def _beside_the_support(
-    surface: MeshVertices,
+    areas: Float[ndarray, "n"],
     raised: Bool[ndarray, "n"],
     over: Bool[ndarray, "n"],
-    floor: Bool[ndarray, "n"],
-    support: Plane,
-    settings: BackgroundSettings,
+    outside: Float[ndarray, "n"],
+    margin: float,
 ) -> tuple[str, ...]:
     """A warning if more surface stands beside the part of the support that was seen than above it.
 
     Args:
         raised: surface at the heights of objects.
         over: surface above the footprint of the support.
-        floor: surface of the support.
+        outside: metres beyond that footprint.
     """
-    near = raised & ~over
-    near[near] = above_footprint(
-        surface.points[near],
-        support.plane,
-        surface.points[floor],
-        surface.areas[floor],
-        settings.margin + BESIDE,
-    )
-    beside, above = float(surface.areas[near].sum()), float(surface.areas[raised & over].sum())
+    near = raised & ~over & (outside <= margin + BESIDE)
+    beside, above = float(areas[near].sum()), float(areas[raised & over].sum())
     if not 0 < above < beside:
         return ()
     return (

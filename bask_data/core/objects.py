@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from bask_data.core.background import Background, BackgroundSettings, MeshVertices, find_background
 from bask_data.core.clusters import dbscan
+from bask_data.core.hidden_parts import PartsSettings, with_joined_parts
 from bask_data.core.planes import height
 
 MAX_INSTANCES = 255
@@ -33,6 +34,13 @@ tables all seven clusters of two or three objects had 0.32 to 0.65, all thirty o
 a bin is hollow, too."""
 N_HULL_POINTS = 2000
 """Most points of an object that its hollow share is computed from. Chosen, sensitivity not measured."""
+RIM_WIDTH = 0.03
+"""Metres along the border of the seen support in which a low, level patch is the support's own. Assumes a tabletop.
+Chosen, sensitivity not measured."""
+LEVEL_PATCH = np.cos(np.deg2rad(45.0))
+"""Cosine of the angle to the support up to which surface may be the support's own. Chosen, sensitivity not measured."""
+OFF_SHARE = 0.1
+"""Share of a patch that may be higher or steeper than the support's noise. Chosen, sensitivity not measured."""
 FLOATING = 0.03
 """Metres between the support and the lowest object beyond which the support is doubted. Assumes a tabletop. Chosen,
 sensitivity not measured."""
@@ -159,6 +167,15 @@ def split_objects(
         edges, heights = edges_of(triangles), height(vertices, scene.support.plane)
         steep = normals @ scene.support.plane[:3] < FOOT_FACING
         labels = with_feet(labels, edges, steep & scene.feet)
+        labels = without_rim_patches(labels, heights, normals @ scene.support.plane[:3], scene, settings.inlier)
+        labels = with_joined_parts(
+            labels,
+            vertices,
+            normals,
+            settings.views,
+            scene.support.plane[:3],
+            PartsSettings(2 * eps, settings.max_extent),
+        )
         labels = without_crumbs(labels, edges, heights, areas, max(settings.inlier, 2 * scene.low), min_area)
         lowest = heights[labels > 0].min(initial=np.inf)
         if np.isfinite(lowest) and settings.above is None and lowest > FLOATING:
@@ -243,6 +260,28 @@ def without_crumbs(
     np.maximum.at(top, patch, above)
     area = np.bincount(patch, weights=areas, minlength=n_patches)
     return np.where(((top < low) & (area < min_area))[patch], 0, labels)
+
+
+def without_rim_patches(
+    labels: Int[ndarray, "n"],
+    heights: Float[ndarray, "n"],
+    facing: Float[ndarray, "n"],
+    scene: Background,
+    inlier: float,
+) -> Int[ndarray, "n"]:
+    """Labels without patches of the support itself: along the border of what was seen of it, where depth is worst, and
+    level surface within its tolerance only.
+
+    Args:
+        heights: metres above the support.
+        facing: cosine of the angle between each normal and the support's.
+    """
+    if scene.outside is None:
+        return labels
+    off_support = (heights > inlier) | (facing < LEVEL_PATCH) | (scene.outside < -RIM_WIDTH)
+    n = np.bincount(labels)
+    share = np.bincount(labels, weights=off_support) / np.maximum(n, 1)
+    return np.where((share < OFF_SHARE)[labels], 0, labels)
 
 
 def numbered(

@@ -11,12 +11,20 @@ from bask_data.engine import Params, stage
 from bask_data.errors import UsageError
 from bask_data.kinds import InstanceRow, ObjectInstances, Reconstruction, Scan
 from bask_data.kinds.objects import NeighbourRow, PlaneRow
+from bask_data.stages.mesh_quality import spread_evenly
 
 if TYPE_CHECKING:
     import numpy as np
 
     from bask_data.core.objects import Split
     from bask_data.core.planes import Plane
+    from bask_data.core.sightings import PosedDepth
+
+N_LOOKS = 12
+"""Most frames looked at again, to tell what is hidden from what is empty. Chosen to bound time and memory, sensitivity
+not measured."""
+FAR = 10.0
+"""Depth above this counts as not measured, metres, as in `masks`."""
 
 
 class ObjectsParams(Params):
@@ -65,7 +73,7 @@ class ObjectsParams(Params):
         return heights
 
 
-@stage(makes=ObjectInstances, version=2)
+@stage(makes=ObjectInstances, version=3)
 def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, out: Path) -> None:
     """Split the surface into the objects on the support plane and the background.
 
@@ -94,6 +102,7 @@ def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, o
         core_area=params.core_area,
         min_area=params.min_area,
         max_extent=params.max_extent,
+        views=_views(scan),
     )
     rng = np.random.default_rng(params.seed)
     split = split_objects(reconstruction.vertices, reconstruction.triangles, rng, settings)
@@ -120,6 +129,22 @@ def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, o
         planes=rows,
         neighbours=[NeighbourRow(a=one.a, b=one.b, gap_m=one.gap) for one in split.neighbours],
         warnings=_warnings(split, params),
+    )
+
+
+def _views(scan: Scan) -> tuple[PosedDepth, ...]:
+    """Some frames of all cameras, evenly over their paths."""
+    from bask_data.core import depth
+    from bask_data.core.sightings import PosedDepth
+
+    frames = [(camera, i_frame) for camera in scan.cameras for i_frame in range(camera.n_frames)]
+    return tuple(
+        PosedDepth(
+            depth.in_range(camera.depth(i_frame), 0.0, FAR),
+            camera.Ks[i_frame],
+            camera.world_from_cameras[i_frame],
+        )
+        for camera, i_frame in (frames[i] for i in spread_evenly(len(frames), N_LOOKS))
     )
 
 

@@ -81,9 +81,9 @@ def test_walls_are_told_as_structure_and_objects_that_nearly_touch_as_neighbours
     assert "1 clusters longer than 0.6 m became background" in with_wall.metadata.warnings[0]
 
 
-def test_version_2_gives_the_golden_result(tmp_path):
-    golden = np.load(GOLDEN / "objects_v2.npz")
-    assert objects.version == 2, "save a golden file for the new version"
+def test_version_3_gives_the_golden_result(tmp_path):
+    golden = np.load(GOLDEN / "objects_v3.npz")
+    assert objects.version == 3, "save a golden file for the new version"
     vertices, triangles, _ = table(THREE, noise=0.0008)
     result = made(dataset_of(tmp_path / "d", vertices, triangles))
     np.testing.assert_array_equal(result.vertex_instance, golden["vertex_instance"])
