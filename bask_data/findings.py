@@ -50,6 +50,32 @@ CODES = {
     "depth-shifted": Code("warning", "Depth does not lie on colour; masks will lie beside the objects."),
     "registration-unknown": Code("note", "Whether depth lies on colour cannot be told from the images."),
     "trusted": Code("note", "What depth objects to was overridden with --trust."),
+    # Sensor: images, depth, single frames and stamps.
+    "depth-none": Code("warning", "Frames have no depth at all."),
+    "depth-sparse": Code("warning", "Much of the images has no depth."),
+    "depth-stuck": Code("warning", "The same depth image comes again although colour changes."),
+    "depth-saturated": Code("warning", "Depth stands at the end of a range: these values are no distances."),
+    "depth-quantised": Code("warning", "Values of depth are so far apart that surfaces become steps."),
+    "depth-noise": Code("warning", "Depth is noisier than usual for a depth camera."),
+    "depth-bowl": Code(
+        "warning", "Planes are measured as bowls: depth errs with the distance from the image's middle."
+    ),
+    "frames-black": Code("warning", "Frames show one colour: black, covered, or lost."),
+    "frames-duplicate": Code("warning", "The same colour image comes again although the pose or depth changes."),
+    "frames-resting": Code(
+        "note", "Frames are the same in colour, depth and pose: the robot waits, or the camera hung."
+    ),
+    "frames-blurred": Code("note", "Frames are far less sharp than those around them."),
+    "exposure-jump": Code("warning", "The same surfaces are suddenly brighter or darker."),
+    "frame-off": Code(
+        "warning", "A frame's pose is wrong: it lies far from both neighbours, which lie near each other."
+    ),
+    "pose-jump": Code("warning", "The poses make a step that the surfaces do not make."),
+    "drift": Code("warning", "Frames far apart in time disagree about the same surfaces, although neighbours agree."),
+    "time-gap": Code("warning", "Stamps are missing."),
+    "time-backwards": Code("warning", "Stamps do not increase."),
+    "time-jitter": Code("note", "Stamps are irregular."),
+    "time-apart": Code("warning", "Frames of two cameras of the same number were not taken at the same time."),
 }
 """All codes, by subject."""
 
