@@ -161,9 +161,8 @@ def degenerate(seed: int) -> tuple[str, RandomRecording, Told]:
         recording = random_recording(seed, kind, errors=off)
     as_told = told(recording, wrong)
     if kind == "frozen tail":
-        frozen = as_told.poses.copy()
-        frozen[recording.n_frames // 2 :] = frozen[recording.n_frames // 2]
-        as_told = replace(as_told, poses=frozen)
+        last = np.minimum(np.arange(recording.n_frames), 2 * recording.n_frames // 3)
+        as_told = replace(as_told, poses=as_told.poses[last], true_poses=as_told.true_poses[last])
     if kind == "same poses":
         as_told = replace(as_told, poses=np.tile(as_told.poses[:1], (recording.n_frames, 1, 1)))
     if kind == "other poses":

@@ -403,31 +403,38 @@ def _cast(
     balls: ndarray,
 ) -> ndarray:
     depth = np.zeros((height, width), np.float32)
-    R, ox, oy, oz = world_from_camera, world_from_camera[0, 3], world_from_camera[1, 3], world_from_camera[2, 3]
+    R, o = world_from_camera[:3, :3].copy(), world_from_camera[:3, 3].copy()
+    # Slopes of rays in each box's axes are linear in x and y, and all rays start at one point.
+    slopes = np.zeros((len(halves), 3, 3))
+    starts = np.zeros((len(halves), 3))
+    for i in range(len(halves)):
+        slopes[i] = box_from_world[i, :3, :3].copy() @ R
+        starts[i] = box_from_world[i, :3, :3].copy() @ o + box_from_world[i, :3, 3]
     for v in range(height):
+        y = (v - K[1, 2]) / K[1, 1]
         for u in range(width):
             # The ray has z = 1 in the camera, so its parameter is the z-depth.
-            x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
-            dx = R[0, 0] * x + R[0, 1] * y + R[0, 2]
-            dy = R[1, 0] * x + R[1, 1] * y + R[1, 2]
-            dz = R[2, 0] * x + R[2, 1] * y + R[2, 2]
+            x = (u - K[0, 2]) / K[0, 0]
             nearest = np.inf
             for i in range(len(halves)):
                 enter, leave = -np.inf, np.inf
-                m = box_from_world
                 for k in range(3):
-                    slope = m[i, k, 0] * dx + m[i, k, 1] * dy + m[i, k, 2] * dz
-                    start = m[i, k, 0] * ox + m[i, k, 1] * oy + m[i, k, 2] * oz + m[i, k, 3]
-                    if abs(slope) < 1e-12:
-                        slope = 1e-12
-                    first, second = (-halves[i, k] - start) / slope, (halves[i, k] - start) / slope
+                    slope = slopes[i, k, 0] * x + slopes[i, k, 1] * y + slopes[i, k, 2]
+                    per = 1 / slope if abs(slope) > 1e-12 else 1e12
+                    first, second = (-halves[i, k] - starts[i, k]) * per, (halves[i, k] - starts[i, k]) * per
                     enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
+                    if enter > leave or enter > nearest:
+                        break
                 if enter <= leave:
                     hit = enter if enter > 1e-6 else leave
                     if 1e-6 < hit < nearest:
                         nearest = hit
+            if len(balls):
+                dx = R[0, 0] * x + R[0, 1] * y + R[0, 2]
+                dy = R[1, 0] * x + R[1, 1] * y + R[1, 2]
+                dz = R[2, 0] * x + R[2, 1] * y + R[2, 2]
             for i in range(len(balls)):
-                px, py, pz = ox - balls[i, 0], oy - balls[i, 1], oz - balls[i, 2]
+                px, py, pz = o[0] - balls[i, 0], o[1] - balls[i, 1], o[2] - balls[i, 2]
                 a = dx * dx + dy * dy + dz * dz
                 b = dx * px + dy * py + dz * pz
                 c = px * px + py * py + pz * pz - balls[i, 3] ** 2
