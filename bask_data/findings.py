@@ -76,6 +76,28 @@ CODES = {
     "time-backwards": Code("warning", "Stamps do not increase."),
     "time-jitter": Code("note", "Stamps are irregular."),
     "time-apart": Code("warning", "Frames of two cameras of the same number were not taken at the same time."),
+    # Reading of a source.
+    "unreadable": Code("error", "A file is missing, damaged, or contradicts the options: `ingest` refuses it."),
+    "not-examined": Code("note", "Only a part of the source was examined."),
+    # Dataset: recordings and artifacts looked at together.
+    "split-leak": Code("error", "The same scene is in two splits: results on one of them say nothing."),
+    "scene-twice": Code("warning", "Two recordings show the same images: they count double."),
+    "instance-empty": Code("warning", "A scan has no object, or no frame shows an object."),
+    "instance-tiny": Code("warning", "An object is so small that it is more likely a splinter of a surface."),
+    "masks-vanish": Code("warning", "The mask of an object is empty in most frames that should show it."),
+    "objects-differ": Code("warning", "A scan has far more or fewer objects than the others of the dataset."),
+    "demonstration-still": Code("warning", "The robot does not move in a demonstration."),
+    "gripper-still": Code("note", "The gripper never opens or closes in a demonstration."),
+    "keypoints-collapsed": Code("warning", "The keypoints of a demonstration lie at nearly one place."),
+    "keypoints-exploded": Code(
+        "warning", "The positions of keypoints are uncertain by more than a quarter of a metre."
+    ),
+    "keypoints-outside": Code("warning", "Keypoints lie outside of everything that the cameras measured."),
+    "version-old": Code("note", "An artifact was made by an older version, and opens as it is."),
+    "version-unreadable": Code("warning", "An artifact was made by an older version, and has to be made again."),
+    "stale": Code("note", "An artifact was made from other inputs than are there."),
+    "unlisted-file": Code("warning", "A file or folder in the dataset belongs to no artifact."),
+    "damaged": Code("error", "Files of an artifact are missing or have changed."),
 }
 """All codes, by subject."""
 

@@ -55,7 +55,7 @@ COMMANDS = (
     ),
     *under(
         "Set-up",
-        ("doctor", "setup", "Check this machine, and print how to install what is missing."),
+        ("doctor", "doctor", "Say what is wrong with a recording, a dataset or this machine, and how to mend it."),
         ("completion", "setup", "Print the shell script for completion of commands and names."),
     ),
 )

@@ -1,41 +1,14 @@
-"""Commands for setting up a machine: `doctor` and `completion`."""
+"""Commands for setting up a machine: `completion`."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from bask_data.cli.commands import CommandList
-from bask_data.cli.options import Json
-from bask_data.errors import MissingDependency
 
 app = CommandList()
-
-
-@app.command(
-    epilog="""
-    bask-data doctor
-    bask-data doctor --folder /data
-    """
-)
-def doctor(
-    folder: Annotated[
-        Path | None, typer.Option(help="Folder for datasets, to check for free space.", metavar="DIR")
-    ] = None,
-    json_: Json = False,
-) -> None:
-    """Check this machine, and print how to install what is missing.
-
-    Exits with code 5 if something that every command needs is missing.
-    """
-    from bask_data.doctor import machine as examiner
-
-    checks = examiner.checks(folder)
-    print(examiner.as_json(checks) if json_ else examiner.render(checks))
-    if examiner.missing(checks):
-        raise typer.Exit(MissingDependency.exit_code)
 
 
 @app.command(

@@ -1,0 +1,116 @@
+"""What an examination of a recording or a dataset says: findings, what was found right, and what a page shows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bask_data.findings import SEVERITIES, Finding, Severity, by_severity
+
+_FRAMES = re.compile(r"(.*\S) \d+(?:[-, ]+\d+)*")
+"""A place that ends in numbers of frames."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture for the page: RGB (h, w, 3) uint8, and what it shows."""
+
+    rgb: np.ndarray
+    text: str
+
+
+@dataclass(frozen=True)
+class Bar:
+    """How well depth supports a way to read a recording.
+
+    Args:
+        share: mean evidence, in [0, 1].
+        is_told: whether the recording was read this way.
+    """
+
+    reading: str
+    share: float
+    is_told: bool = False
+
+
+@dataclass(frozen=True)
+class ExaminedCamera:
+    """One camera of a recording.
+
+    Args:
+        place: `recording/camera`.
+        facts: figures for readers, by what they are.
+        right: what was found right, in sentences.
+        evidence: readings that were compared, the best first.
+        edges: some frames with the edges of depth over colour.
+        odd_frames: frames that findings are about.
+    """
+
+    place: str
+    facts: dict[str, Any]
+    findings: tuple[Finding, ...]
+    right: tuple[str, ...] = ()
+    evidence: tuple[Bar, ...] = ()
+    edges: tuple[Picture, ...] = ()
+    odd_frames: tuple[Picture, ...] = ()
+
+
+@dataclass(frozen=True)
+class Examination:
+    """All that was found.
+
+    Args:
+        subject: what was examined.
+        read_as: the command that reads a source so; empty for a dataset.
+        findings: those that belong to no camera.
+        right: what was found right, in sentences.
+    """
+
+    subject: str
+    cameras: tuple[ExaminedCamera, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    right: tuple[str, ...] = ()
+    read_as: str = ""
+    assumptions: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def all_findings(self) -> list[Finding]:
+        """Findings of everything, the worst first."""
+        return by_severity([*self.findings, *(each for camera in self.cameras for each in camera.findings)])
+
+    @property
+    def all_right(self) -> list[str]:
+        """What was found right, with its place."""
+        of_cameras = [f"{camera.place}: {sentence}" for camera in self.cameras for sentence in camera.right]
+        return [*of_cameras, *self.right]
+
+    def count(self, severity: Severity) -> int:
+        """Number of findings of a severity."""
+        return sum(each.severity == severity for each in self.all_findings)
+
+    def reaches(self, severity: Severity) -> bool:
+        """Whether a finding is at least as bad."""
+        return any(self.count(each) for each in SEVERITIES[: SEVERITIES.index(severity) + 1])
+
+
+def by_place(findings: Iterable[Finding]) -> dict[str, list[Finding]]:
+    """Findings by what they are about, the place with the worst first; those of single frames with their camera's."""
+    groups: dict[str, list[Finding]] = {}
+    for each in by_severity(findings):
+        match = _FRAMES.fullmatch(each.place)
+        groups.setdefault(match[1] if match else each.place, []).append(each)
+    return groups
+
+
+def frames_of(finding: Finding) -> list[int]:
+    """The frames that a finding names at the end of its place: `table/wrist 12` or `table/wrist 12-15, 20`."""
+    match = _FRAMES.fullmatch(finding.place)
+    frames: list[int] = []
+    for part in re.findall(r"\d+(?:-\d+)?", finding.place[len(match[1]) :]) if match else ():
+        first, _, last = part.partition("-")
+        frames += range(int(first), int(last or first) + 1)
+    return frames

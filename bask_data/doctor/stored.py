@@ -1,0 +1,70 @@
+"""A dataset examined: every camera of its recordings, and what shows when recordings and artifacts are compared."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+
+from bask_data.dataset import Dataset, Source
+from bask_data.doctor.dataset_checks import dataset_findings
+from bask_data.doctor.examination import Examination, ExaminedCamera
+from bask_data.doctor.recording import Settings, examine_camera, of_stored
+from bask_data.errors import BadData
+from bask_data.findings import Finding
+from bask_data.formats import FORMATS
+from bask_data.kinds import Demonstration, Recording, Scan
+from bask_data.progress import progress
+
+
+def examine_dataset(dataset: Dataset, only: Sequence[str] = (), with_pictures: bool = False) -> Examination:
+    """All checks of a dataset's recordings and artifacts.
+
+    Args:
+        only: recordings whose images are examined; all of them by default. The dataset's own checks are about these,
+            too, but for those that compare recordings.
+
+    Raises:
+        UsageError: no recording has one of these names, or the dataset has none.
+    """
+    names = dataset.select(only)
+    findings: list[Finding] = []
+    cameras: list[ExaminedCamera] = []
+    for name in progress(names, "examining recordings", len(names)):
+        try:
+            cameras += _cameras(dataset, name, with_pictures)
+        except BadData as error:
+            findings.append(
+                Finding("damaged", name, error.fault, f"bask-data validate {shlex.quote(str(dataset.root))}")
+            )
+    of_dataset, right = dataset_findings(dataset, names)
+    return Examination(str(dataset.root), tuple(cameras), (*findings, *of_dataset), tuple(right))
+
+
+def _cameras(dataset: Dataset, name: str, with_pictures: bool) -> list[ExaminedCamera]:
+    kind = Scan if name in dataset.file.scenes else Demonstration
+    path = dataset.path(kind, name)
+    if not path.exists():
+        return []  # The dataset's own checks report it.
+    recording: Recording = kind(path)
+    recording.check_complete()
+    sources = {**dataset.file.scenes, **dataset.file.demonstrations}
+    settings = Settings(with_pictures, ingest_command(dataset, name, sources[name]))
+    return [examine_camera(f"{name}/{each.name}", of_stored(each), settings) for each in recording.cameras]
+
+
+def ingest_command(dataset: Dataset, name: str, source: Source) -> str:
+    """The command that reads a recording again, in place of what is there; empty if its format is not ingested."""
+    if source.format not in {format.name for format in FORMATS}:
+        return ""
+    words = [f"bask-data ingest {source.format}", shlex.quote(str(dataset.root / source.path))]
+    words += [shlex.quote(str(dataset.root)), f"--scene {name}"]
+    if name in dataset.file.demonstrations:
+        words.append("--as demonstration")
+    for option, value in source.options.items():
+        flag = f"--{option.replace('_', '-')}"
+        if isinstance(value, list):
+            value = ",".join(map(str, value))
+        words.append(
+            flag if value is True else f"--no-{flag[2:]}" if value is False else f"{flag} {shlex.quote(str(value))}"
+        )
+    return " ".join([*words, "--force"])
