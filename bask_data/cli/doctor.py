@@ -30,7 +30,7 @@ app = CommandList()
 AnyPath = Annotated[
     Path | None,
     typer.Argument(
-        help="A recording in any format, or a dataset. [default: this machine]", metavar="PATH", exists=True
+        help="A recording in any format, or a dataset. [default: this machine]", metavar="[PATH]", exists=True
     ),
 ]
 OnlyRecordings = Annotated[

@@ -75,7 +75,9 @@ def examine_camera(
         elif said.verdict == "fits":
             right.append(said.text)
         else:
-            findings.append(Finding("registration-unknown", place, "edges of depth and colour decide nothing"))
+            evidence = "edges of depth fit those of colour nowhere clearly, or in few frames"
+            fix = "look at the red edges in the page: --report FILE"
+            findings.append(Finding("registration-unknown", place, evidence, fix))
 
     facts: dict[str, Any] = {}
     for check in (check_reading, check_registration, lambda: facts.update(facts_of(camera))):
