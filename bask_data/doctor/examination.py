@@ -14,6 +14,9 @@ from bask_data.findings import SEVERITIES, Finding, Severity, by_severity
 _FRAMES = re.compile(r"(.*\S) \d+(?:[-, ]+\d+)*")
 """A place that ends in numbers of frames."""
 
+_LISTED = re.compile(r"(?:\d+ frames:|frames?) (\d+(?:-\d+)?(?:, \d+(?:-\d+)?)*)")
+"""Evidence that begins with the numbers of frames."""
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -107,10 +110,16 @@ def by_place(findings: Iterable[Finding]) -> dict[str, list[Finding]]:
 
 
 def frames_of(finding: Finding) -> list[int]:
-    """The frames that a finding names at the end of its place: `table/wrist 12` or `table/wrist 12-15, 20`."""
-    match = _FRAMES.fullmatch(finding.place)
+    """The frames that a finding names: at the end of its place, or at the beginning of its evidence.
+
+    `table/wrist 12-15, 20`, and `frame 3`, `frames 7-9` or `3 frames: 3, 8-9` as `frames_in_words` writes them.
+    """
+    place = _FRAMES.fullmatch(finding.place)
+    listed = finding.place[len(place[1]) :] if place else ""
+    if not listed and (match := _LISTED.match(finding.evidence)):
+        listed = match[1]
     frames: list[int] = []
-    for part in re.findall(r"\d+(?:-\d+)?", finding.place[len(match[1]) :]) if match else ():
+    for part in re.findall(r"\d+(?:-\d+)?", listed):
         first, _, last = part.partition("-")
         frames += range(int(first), int(last or first) + 1)
     return frames

@@ -4,30 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
-import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
 from numpy import ndarray
 
-from bask_data.core.edge_offset import depth_edges
 from bask_data.doctor.examination import ExaminedCamera, Picture, frames_of
 from bask_data.doctor.reading import evidence_of, reading_findings
+from bask_data.doctor.recording_checks import sensor_findings
+from bask_data.drawing.images import resize
 from bask_data.errors import BadData
 from bask_data.findings import Finding
 from bask_data.formats.agreement import agreement
 from bask_data.formats.kept_frames import KeptFrames
 from bask_data.formats.recording import CameraRecording
-from bask_data.formats.registration import registration
+from bask_data.formats.registration import edge_pictures, registration
 from bask_data.formats.verdict import Agreement
 from bask_data.kinds import Camera
 
 N_SAMPLED = 8
 """Frames that figures of depth are computed from, and of which some are shown. Sensitivity not measured."""
 
-N_EDGES, N_ODD = 4, 8
-"""Most frames shown with edges of depth, and most that stand out, of a camera."""
+N_ODD = 8
+"""Most frames shown that stand out, of a camera."""
 
 SHOWN_WIDTH = 480
 """Width of pictures on the page, pixels."""
@@ -68,19 +69,22 @@ def examine_camera(
             right.append(f"reading: sure; {told[0].text}")
 
     def check_registration() -> None:
-        said = registration(camera)
-        if said.verdict == "shifted":
-            fix = "register depth to colour: --color-from-depth and --depth-intrinsics, or the driver's aligned depth"
-            findings.append(Finding("depth-shifted", place, said.text, fix))
-        elif said.verdict == "fits":
+        poses_fit = bool(told) and told[0].verdict == "fits"
+        said = registration(camera, poses_fit)
+        findings.extend(said.findings(place))
+        if said.verdict == "fits":
             right.append(said.text)
-        else:
-            evidence = "edges of depth fit those of colour nowhere clearly, or in few frames"
-            fix = "look at the red edges in the page: --report FILE"
-            findings.append(Finding("registration-unknown", place, evidence, fix))
+
+    def check_sensor() -> None:
+        found = sensor_findings(
+            place, camera.n_frames, partial(metres, camera), camera.Ks, camera.world_from_cameras, camera.time
+        )
+        findings.extend(found)
+        if not found:
+            right.append("images, depth, single frames and stamps")
 
     facts: dict[str, Any] = {}
-    for check in (check_reading, check_registration, lambda: facts.update(facts_of(camera))):
+    for check in (check_reading, check_registration, check_sensor, lambda: facts.update(facts_of(camera))):
         findings += _unreadable(place, check)
     if settings.again:
         findings = [_with_command(each, settings.again) for each in findings]
@@ -158,32 +162,19 @@ def sampled(n_frames: int, n: int) -> list[int]:
 
 def with_pictures(examined: ExaminedCamera, camera: CameraRecording) -> ExaminedCamera:
     """The camera with the pictures of a page: some frames with edges of depth, and those that findings are about."""
-    edges = [_picture(camera, i, edges_over) for i in sampled(camera.n_frames, N_EDGES)]
     named = {i: finding.code for finding in examined.findings for i in frames_of(finding) if i < camera.n_frames}
-    odd = [_picture(camera, i, lambda rgb, _: rgb, named[i]) for i in sorted(named)[:N_ODD]]
+    try:
+        edges = edge_pictures(camera.n_frames, partial(metres, camera))
+        odd = [(i, metres(camera, i)[0]) for i in sorted(named)[:N_ODD]]
+    except BadData:
+        return examined  # It is a finding already.
     return replace(
-        examined, edges=tuple(each for each in edges if each), odd_frames=tuple(each for each in odd if each)
+        examined,
+        edges=tuple(Picture(shrunk(rgb), "") for rgb in edges),
+        odd_frames=tuple(Picture(shrunk(rgb), f"frame {i}: {named[i]}") for i, rgb in odd),
     )
 
 
-def _picture(
-    camera: CameraRecording, i: int, draw: Callable[[ndarray, ndarray], ndarray], why: str = ""
-) -> Picture | None:
-    try:
-        rgb, depth = metres(camera, i)
-    except BadData:
-        return None
-    drawn = draw(rgb, depth)
-    if drawn.shape[1] > SHOWN_WIDTH:
-        size = (SHOWN_WIDTH, max(1, round(drawn.shape[0] * SHOWN_WIDTH / drawn.shape[1])))
-        drawn = cv2.resize(drawn, size, interpolation=cv2.INTER_AREA)
-    return Picture(drawn, f"frame {i}" + (f": {why}" if why else ""))
-
-
-def edges_over(rgb: UInt8[ndarray, "h w 3"], depth: Float32[ndarray, "h w"]) -> UInt8[ndarray, "h w 3"]:
-    """Colour with the edges of depth in red."""
-    edges = depth_edges(depth).astype(np.uint8)
-    width = max(2, round(rgb.shape[1] / SHOWN_WIDTH) + 1)
-    drawn = rgb.copy()
-    drawn[cv2.dilate(edges, np.ones((width, width), np.uint8)) > 0] = (255, 0, 0)
-    return drawn
+def shrunk(rgb: UInt8[ndarray, "h w 3"]) -> UInt8[ndarray, "h w 3"]:
+    """An image of at most the width of pictures."""
+    return resize(rgb, SHOWN_WIDTH) if rgb.shape[1] > SHOWN_WIDTH else rgb
