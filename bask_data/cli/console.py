@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 import time
@@ -32,6 +33,13 @@ _MARKS = {
 def say(text: str) -> None:
     """Print a line to stderr. Escape sequences are removed: libraries and names in untrusted files contain some."""
     print(_ESCAPES.sub("", text), file=sys.stderr, flush=True)
+
+
+def warn(text: str) -> None:
+    """Print a warning to stderr, in colour on a terminal: what a user must not overlook."""
+    is_coloured = sys.stderr.isatty() and not os.environ.get("NO_COLOR")
+    mark = "\x1b[1;33mwarning:\x1b[0m" if is_coloured else "warning:"
+    print(f"{mark} {_ESCAPES.sub('', text)}", file=sys.stderr, flush=True)
 
 
 def print_result(command: str, lines: Iterable[str], document: Mapping[str, Any], as_json: bool) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from bask_data.cli.console import say, show_outcome, shown_progress
+from bask_data.cli.console import say, show_outcome, shown_progress, warn
 from bask_data.cli.options import checked_options
 from bask_data.cli.working import finish, quoted
 from bask_data.errors import UsageError
@@ -46,10 +46,9 @@ def run_ingest(request: IngestRequest) -> None:
     shown: set[tuple[str, str]] = set()
     with shown_progress():
         for each in _ingested(request):
-            for name, text in each.assumptions.items():
-                if (name, text) not in shown:  # Episodes of one source mostly repeat them.
-                    shown.add((name, text))
-                    _show_assumption(name, text)
+            # Episodes of one source mostly repeat them.
+            _show_assumptions({name: text for name, text in each.assumptions.items() if (name, text) not in shown})
+            shown |= set(each.assumptions.items())
             for outcome in each.outcomes:
                 show_outcome(outcome)
             outcomes += each.outcomes
@@ -94,8 +93,17 @@ def _draw(recording: Path, file: Path) -> None:
     )
 
 
-def _show_assumption(name: str, text: str) -> None:
-    from bask_data.formats.verdict import is_doubtful
+def _show_assumptions(assumptions: dict[str, str]) -> None:
+    """Print what was assumed, and after it, apart from it, what is wrong or cannot be told."""
+    from bask_data.findings import CODES
+    from bask_data.formats.verdict import advice, codes_in, is_doubtful
 
-    doubtful = name.endswith("agreement") and is_doubtful(text)
-    say(f"  note        {name}: {text}" if doubtful else f"  assumed     {name}: {text}")
+    alarming = {}
+    for name, text in assumptions.items():
+        if any(CODES[code].severity != "note" for code in codes_in(text)):
+            alarming[name] = text
+        else:
+            doubtful = name.endswith("agreement") and is_doubtful(text)
+            say(f"  note        {name}: {text}" if doubtful else f"  assumed     {name}: {text}")
+    for name, text in alarming.items():
+        warn(f"{name}: {text}{advice(text)}")

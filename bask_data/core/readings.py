@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from bask_data.core.readings_evidence import PairedViews
 from bask_data.core.readings_hypotheses import Readings
-from bask_data.core.readings_judgement import Camera, Judgement, judgement, without_views
+from bask_data.core.readings_judgement import JudgedCamera, Judgement, judgement, without_views
 from bask_data.core.readings_search import Space, other_sizes, scales, searched
 from bask_data.core.readings_verdict import verdict
 from bask_data.core.warped_depth import DepthView, depth_view
@@ -28,7 +28,7 @@ GAPS = (1, 2, 4, 8, 16, 32, 64)
 MOST_LAG = 4
 """Frames by which a clock may be off."""
 
-MOST_PIXELS = 640 * 480
+MOST_KEPT_PIXELS = 640 * 480
 """Of depth that is kept in memory per frame; of larger images every other pixel, or fewer. Sensitivity not measured."""
 
 
@@ -85,7 +85,7 @@ def judge(
         rays=(0, -1 if is_ray else 1),
     )
     trials, met, seen = searched(paired, space)
-    camera = Camera(world_from_cameras, readings, paired, Ks[0])
+    camera = JudgedCamera(world_from_cameras, readings, paired, Ks[0])
     return judgement(camera, verdict(paired, trials, met, seen))
 
 
@@ -108,7 +108,7 @@ def _lags(n_frames: int) -> tuple[int, ...]:
 
 
 def _view(depth: Float32[ndarray, "h w"], K: Float[ndarray, "3 3"], n_points: int) -> DepthView:
-    step = int(np.ceil(np.sqrt(depth.size / MOST_PIXELS)))
+    step = int(np.ceil(np.sqrt(depth.size / MOST_KEPT_PIXELS)))
     K_thinned = K.copy()
     K_thinned[:2] /= step
     return depth_view(np.ascontiguousarray(depth[::step, ::step], np.float32), K_thinned, n_points)

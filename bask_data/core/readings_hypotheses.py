@@ -121,12 +121,12 @@ class Readings:
                 names.append(Hypothesis(otherwise=option))
         return cls(tuple(poses), tuple(names), options)
 
-    def option(self, reading: int, pose_factor: float) -> str:
-        """Options for a reading and a unit of its positions; only for the reading if there are none for both."""
-        both = [
-            text for (i, factor), text in self.options.items() if i == reading and abs(factor / pose_factor - 1) < 0.01
-        ]
-        return (both or [self.options.get((reading, 1.0), "")])[0]
+    def option(self, reading: int, pose_factor: float) -> tuple[str, bool]:
+        """Options for a reading, and whether they state the unit of its positions, too."""
+        for (i, factor), text in self.options.items():
+            if i == reading and factor != 1 and abs(factor / pose_factor - 1) < 0.01:
+                return text, True
+        return self.options.get((reading, 1.0), ""), False
 
 
 SAME_MOTION = 1e-5
@@ -151,17 +151,29 @@ POSE_FACTORS = (1e-3, 1e-2, 1e2, 1e3)
 """Units of positions that are mixed up: millimetres, centimetres and metres."""
 
 
-def hypothesis_of(trial: Trial, readings: Readings, median_depth: float) -> Hypothesis:
-    """A trial in the terms of users. Whether depth or poses are in another unit is told by how far the scene is."""
+NOT_A_UNIT = 0.04
+"""Share by which the scale at which depth fits best is off that of a unit, from which on poses are rather without one,
+as those of structure from motion. Noise of 2 % of depth and 5 mm of the poses moves it by 0.025."""
+
+
+def hypothesis_of(trial: Trial, readings: Readings, median_depth: float, fine: float = 1.0) -> Hypothesis:
+    """A trial in the terms of users. Whether depth or poses are in another unit is told by how far the scene is.
+
+    Args:
+        fine: factor of the scale at which depth fits best.
+    """
     nearest, farthest = PLAUSIBLE_SCENE
-    pose_factor = round(1 / trial.scale, 9) if trial.scale else 1.0
-    is_pose = nearest <= median_depth <= farthest and any(abs(pose_factor / each - 1) < 0.01 for each in POSE_FACTORS)
-    if not nearest <= median_depth * trial.scale <= farthest and nearest <= median_depth <= farthest:
+    is_near = nearest <= median_depth <= farthest
+    pose_factor = 1 / trial.scale
+    is_pose = is_near and any(abs(pose_factor / each - 1) < 0.01 for each in POSE_FACTORS)
+    if is_near and not nearest <= median_depth * trial.scale <= farthest:
         is_pose = True
+    if trial.scale != 1 and is_near and abs(np.log(fine)) > NOT_A_UNIT:
+        pose_factor, is_pose = pose_factor / fine, True
     return replace(
         readings.names[trial.reading],
         depth_factor=1.0 if is_pose else trial.scale,
-        pose_factor=pose_factor if is_pose else 1.0,
+        pose_factor=float(pose_factor) if is_pose else 1.0,
         K_factor=trial.K_factor,
         lag=trial.lag,
         ray={0: "as read", 1: "ray", -1: "z"}[trial.ray],  # type: ignore[arg-type]

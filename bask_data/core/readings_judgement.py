@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from bask_data.core.geometry import view_change
-from bask_data.core.readings_evidence import RESTING, PairedViews, Trial
+from bask_data.core.readings_evidence import NO_TRANSLATION, RESTING, PairedViews, Trial
 from bask_data.core.readings_hypotheses import Hypothesis, Readings, hypothesis_of
 from bask_data.core.readings_verdict import LEAST_PAIRS, POOR_EVIDENCE, Verdict
 from bask_data.findings import CODES, Finding
@@ -22,12 +21,24 @@ HARDLY = 0.03
 """Share of the scene's distance, or angle in radians, up to which a camera hardly moves: pixels of a depth camera of
 640x480 move by some fifteen then, and noise of depth and poses is as large. Sensitivity not measured."""
 
-Offer = Callable[[Hypothesis], str]
-"""Options that read a recording under a hypothesis; empty if there are none."""
+
+@dataclass(frozen=True)
+class Offers:
+    """Options of a format that read it otherwise; none for a recording that is stored.
+
+    Args:
+        depth_scale: of depth's unit, as `--depth-scale`, empty if there is none; metres per unit as read.
+        rays: `--depth-is`.
+        intrinsics: `--intrinsics`.
+    """
+
+    depth_scale: tuple[str, float] = ("", 1.0)
+    rays: str = ""
+    intrinsics: str = ""
 
 
 @dataclass(frozen=True)
-class Camera:
+class JudgedCamera:
     """What a judgement needs besides the verdict.
 
     Args:
@@ -51,7 +62,8 @@ class Judgement:
         n_pairs: pairs of frames that overlap under it.
         sure_of_reading, sure_of_unit, sure_of_clock, sure_of_intrinsics: whether `best` beats all that differ in it.
         rivals: what cannot be told from the best one, in words.
-        option: the format's options for the best reading of poses, if it needs any.
+        option: the format's options for the best reading of poses, if it needs any, and whether they state the unit of
+            positions, too.
         K: intrinsics of the first frame under the best hypothesis, pixels.
         reasons: why, by code, in words and numbers.
     """
@@ -65,7 +77,7 @@ class Judgement:
     sure_of_clock: bool
     sure_of_intrinsics: bool
     rivals: tuple[str, ...]
-    option: str
+    option: tuple[str, bool]
     K: Float[ndarray, "3 3"]
     reasons: dict[str, str]
 
@@ -87,49 +99,69 @@ class Judgement:
             return f"{told}; with {self.best.words} it would be {self.share:.0%} ({self.n_pairs} pairs)"
         return f"{told} ({self.n_pairs} pairs)"
 
-    def findings(self, place: str, offer: Offer = lambda hypothesis: "") -> list[Finding]:
+    def findings(self, place: str, offers: Offers = Offers()) -> list[Finding]:
         """What is wrong, or cannot be told, with evidence and fix.
 
         Args:
             place: the camera: `table/wrist`.
-            offer: options for the best hypothesis.
         """
-        fix = self.fix(offer)
+        fix = self.fix(offers)
         return [
-            Finding(code, place, reason, fix if code in self.objections else _ADVICE.get(code, ""))
+            Finding(code, place, reason, fix if code in self.objections else ADVICE.get(code, ""))
             for code, reason in self.reasons.items()
         ]
 
-    def fix(self, offer: Offer = lambda hypothesis: "") -> str:
+    def fix(self, offers: Offers = Offers()) -> str:
         """What to do about all objections together."""
-        if not self.objections:
-            return ""
         if {"poses-unrelated", "camera-moved"} & set(self.objections):
-            return _ADVICE[self.objections[0]]
-        options = offer(self.best)
-        return f"pass {options}" if options else "; ".join(self._mended())
+            return ADVICE[self.objections[0]]
+        options = list(filter(None, self._options(offers).values()))
+        mended = [text for code, text in self._mended().items() if not self._options(offers).get(code)]
+        return "; ".join([*([f"pass {' '.join(options)}"] if options else []), *mended])
 
-    def _mended(self) -> list[str]:
-        """What to change in the files, for what no option states."""
-        best, said = self.best, []
-        if best.reading != Hypothesis().reading:
-            said.append(f"convert the poses, which mean {self.option or best.words}")
-        if best.depth_factor != 1:
-            said.append(f"correct the unit of depth in the files: depth {best.depth_factor:.4g} times as large")
+    def _options(self, offers: Offers) -> dict[str, str]:
+        """Options by the objection that they answer; empty where there are none."""
+        best, (option, is_unit) = self.best, self.option
+        scale_option, depth_scale = offers.depth_scale
+        found = {}
+        if "other-reading" in self.objections:
+            found["other-reading"] = option
+        if "other-unit" in self.objections and best.depth_factor != 1 and scale_option:
+            found["other-unit"] = f"{scale_option} {depth_scale * best.depth_factor:.6g}"
+        if "other-unit" in self.objections and best.pose_factor != 1 and is_unit:
+            found["other-unit"] = "" if "other-reading" in self.objections else option
+        if "other-depth" in self.objections and offers.rays:
+            found["other-depth"] = f"{offers.rays} {best.ray}"
+        if "other-intrinsics" in self.objections and offers.intrinsics:
+            found["other-intrinsics"] = f"{offers.intrinsics} {self._intrinsics}"
+        return found
+
+    def _mended(self) -> dict[str, str]:
+        """What to change in the files, by the objection that it answers."""
+        best = self.best
+        unit = f"correct the unit of depth in the files: depth {best.depth_factor:.4g} times as large"
         if best.pose_factor != 1:
-            said.append(f"scale the positions of the poses to metres, by about {best.pose_factor:.3g}")
-        if "other-depth" in self.objections:
-            said.append("read depth with --depth-is ray" if best.ray == "ray" else "leave out --depth-is ray")
-        if "other-intrinsics" in self.objections:
-            values = ",".join(f"{value:.6g}" for value in (*np.diag(self.K)[:2], *self.K[:2, 2]))
-            said.append(f"give the intrinsics of these images: {values}")
-        if "other-clock" in self.objections:
-            frames = f"{abs(best.lag)} {'frame' if abs(best.lag) == 1 else 'frames'}"
-            said.append(f"give each frame the pose that stands {frames} {'later' if best.lag > 0 else 'earlier'}")
-        return said
+            unit = f"scale the positions of the poses to metres, by about {best.pose_factor:.3g}"
+            unit += ", or correct the unit of depth"
+        frames = f"{abs(best.lag)} {'frame' if abs(best.lag) == 1 else 'frames'}"
+        every = {
+            "other-reading": f"convert the poses, which are of {self.option[0] or best.words}",
+            "other-unit": unit,
+            "other-depth": f"convert depth, which is {'the length of the ray' if best.ray == 'ray' else 'z'}",
+            "other-intrinsics": f"give the intrinsics of these images, about {self._intrinsics}",
+            "other-clock": f"give each frame the pose that stands {frames} {'later' if best.lag > 0 else 'earlier'}",
+        }
+        if self.option[1] and "other-reading" in self.objections and best.pose_factor != 1:
+            del every["other-unit"]
+        return {code: text for code, text in every.items() if code in self.objections}
+
+    @property
+    def _intrinsics(self) -> str:
+        """Intrinsics under the best hypothesis, as fx,fy,cx,cy."""
+        return ",".join(f"{value:.6g}" for value in (self.K[0, 0], self.K[1, 1], self.K[0, 2], self.K[1, 2]))
 
 
-_ADVICE = {
+ADVICE = {
     "poses-unrelated": "check that poses, depth and intrinsics belong together, and depth's unit",
     "camera-moved": "pass the poses of this recording, one for each frame",
     "poses-repeated": "leave out the frames whose poses were not updated, with --frames",
@@ -139,17 +171,18 @@ _ADVICE = {
     "hardly-moves": "check the conventions yourself; move the camera around the scene when recording again",
     "few-views": "check the conventions yourself; record more frames that see the same things",
 }
+"""What to do about what cannot be told, or has no other reading."""
 
 
 def without_views(K: Float[ndarray, "3 3"]) -> Judgement:
     """The judgement of a camera with a single frame."""
     reasons = {"few-views": "a single frame has nothing to compare its pose with, and shows objects from one side"}
-    return Judgement(0.0, 0.0, Hypothesis(), 0, False, False, False, False, (), "", K, reasons)
+    return Judgement(0.0, 0.0, Hypothesis(), 0, False, False, False, False, (), ("", False), K, reasons)
 
 
-def judgement(camera: Camera, found: Verdict) -> Judgement:
+def judgement(camera: JudgedCamera, found: Verdict) -> Judgement:
     """What a verdict means."""
-    best = hypothesis_of(found.trial, camera.readings, camera.views.median_depth())
+    best = hypothesis_of(found.trial, camera.readings, camera.views.median_depth(), found.fine)
     reasons = _Reasons(camera, found, best).all()
     kx, ky = best.K_factor
     K = camera.K * np.array([[kx], [ky], [1.0]])
@@ -170,7 +203,9 @@ def judgement(camera: Camera, found: Verdict) -> Judgement:
     )
 
 
-def _words(trial: Trial, camera: Camera) -> str:
+def _words(trial: Trial, camera: JudgedCamera) -> str:
+    if trial.scale == NO_TRANSLATION:
+        return "a camera that only turns"
     return hypothesis_of(trial, camera.readings, camera.views.median_depth()).words
 
 
@@ -178,7 +213,7 @@ def _words(trial: Trial, camera: Camera) -> str:
 class _Reasons:
     """Codes for a verdict, with the numbers behind them."""
 
-    camera: Camera
+    camera: JudgedCamera
     found: Verdict
     best: Hypothesis
 
@@ -218,9 +253,10 @@ class _Reasons:
         return {"hardly-moves": "the camera does not move, so nothing shows how its pose is meant"}
 
     def _unmoved(self, distance: Float[ndarray, " p"], angle: Float[ndarray, " p"]) -> dict[str, str]:
-        moved = f"{np.quantile(distance, 0.8):.1%} of the scene's distance and {np.degrees(np.quantile(angle, 0.8)):.1f} degrees"
-        if np.quantile(distance, 0.8) < HARDLY and np.quantile(angle, 0.8) < HARDLY:
-            return {"hardly-moves": f"the camera moves by {moved} at most, too little to tell how poses are meant"}
+        far, turned = float(np.quantile(distance, 0.8)), float(np.quantile(angle, 0.8))
+        moved = f"{far:.1%} of the scene's distance and {np.degrees(turned):.1f} degrees"
+        if far < HARDLY and turned < HARDLY:
+            return {"hardly-moves": f"the camera moves by {moved}, too little to tell how poses are meant"}
         share = f"a camera that does not move explains depth as well as the best reading ({self.found.share:.0%})"
         return {"reading-unknown": f"{share}, though the poses move by {moved}"}
 

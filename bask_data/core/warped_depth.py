@@ -77,7 +77,7 @@ def evidence_of(
     Args:
         b_from_as: motions of the camera that `warps` choose from, metres.
     """
-    return _evidence_of(  # type: ignore[no-any-return]
+    return _evidence_of(
         a.uv,
         a.z,
         b.depth,

@@ -87,16 +87,11 @@ def prepared(
         assumptions |= {prefix + name: text for name, text in frames.assumptions.items()}
         assumptions |= _counts(prefix, camera, chosen[camera.name], kept[camera.name], bad)
         otherwise = {name: _moved(poses[kept[camera.name]], origin) for name, poses in camera.otherwise.items()}
-        scale_option = "--depth-scale" if options.has("depth_scale") else ""
-        agreements[camera.name] = agreement(
-            ready, otherwise, scale_option=scale_option, is_ray=options.depth_is == "ray"
-        )
+        agreements[camera.name] = agreement(ready, otherwise, options, camera.depth_scale)
         assumptions[f"{prefix}agreement"] = agreements[camera.name].text
-        assumptions[f"{prefix}registration"] = registration(
-            ready, agreements[camera.name].verdict in ("fits", "cannot tell")
-        ).text
-        if not options.trust:
-            agreements[camera.name].refuse(source, camera.name)
+        read_rightly = not agreements[camera.name].judgement.objections
+        assumptions[f"{prefix}registration"] = registration(ready, read_rightly).text
+        agreements[camera.name].refuse(source, camera.name)
         for kept_images in images:
             kept_images.hand_out()
     if origin.any():

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from bask_data.core.readings_judgement import ADVICE, Judgement, Offers
 from bask_data.errors import BadData
-
-STILL = "a camera that does not move"
-"""The rival that every reading must beat."""
+from bask_data.findings import CODES, Finding
 
 SURE = "no other reading does as well"
 """Words of a text that says the reading is sure."""
 
-GOOD_SHARE, CLEAR_GAIN = 0.6, 1.5
-"""Another reading that neither explains so much of the depth, nor so many times more than the given one, may be wrong
-itself, as under wrong intrinsics. Hand-held recordings have 0.5 to 0.7. Sensitivity not measured."""
+NOTED = ("other-clock",)
+"""What depth objects to, but no option and no file of poses alone mends: it is said, and the recording is read."""
+
+TRUSTED = "read as told, with --trust [trusted]"
+"""Words of a text that says that what depth objects to was overridden."""
+
+_QUESTIONS = {
+    "reading-unknown": "how poses are meant",
+    "axes-unknown": "OpenCV axes from OpenGL axes",
+    "unit-unknown": "the unit of depth and poses",
+}
 
 
 @dataclass(frozen=True)
@@ -23,57 +31,66 @@ class Agreement:
     """What the depth of a recording says about the way it was read.
 
     Args:
-        share: mean evidence of the given reading, in [0, 1].
-        verdict: `fits`: sure; `other`: sure of another reading; `nothing fits`; `moved` and `may have moved`: the poses
-            are all the same, but depth is not; `cannot tell`.
-        better: the reading that fits better, in words or as options; for `other`.
-        options: options that give the better reading, empty if there are none.
-        fix: what to do instead where no option gives it, but the files can be mended.
-        rivals: what cannot be told from the given reading; for `cannot tell`.
+        judgement: what was found.
+        offers: options of the format.
+        is_trusted: whether it is read as told in any case.
     """
 
-    share: float
-    n_pairs: int
-    verdict: str
-    better: str = ""
-    better_share: float = 0.0
-    options: str = ""
-    rivals: tuple[str, ...] = ()
-    fix: str = ""
+    judgement: Judgement
+    offers: Offers = field(default_factory=Offers)
+    is_trusted: bool = False
 
     @property
     def text(self) -> str:
-        """A sentence for the recording's assumptions; it is stored: rewording it changes the digests of artifacts."""
-        if self.rivals == (STILL,) and self.share == 0:
-            return "cannot tell: the camera does not move, so nothing shows how its pose is meant"
-        if self.n_pairs == 0:
-            return "cannot tell: a single frame has nothing to hold its pose against, and shows objects from one side"
-        share = f"{self.share:.0%} of the depth of a frame, warped into another, meets what was measured there"
-        if self.verdict == "fits":
-            return f"{share} ({self.n_pairs} pairs); {SURE}"
-        if self.verdict == "other":
-            return f"{share}; with {self.better} it would be {self.better_share:.0%} ({self.n_pairs} pairs)"
-        if self.verdict == "nothing fits":
-            return f"{share}, no more than for {STILL} ({self.n_pairs} pairs): these poses do not belong to this depth"
-        if self.verdict in ("moved", "may have moved"):
-            return f"{share} ({self.n_pairs} pairs), though all poses are the same: the camera {self.verdict}"
-        return f"cannot tell from {', '.join(self.rivals)}: {share} ({self.n_pairs} pairs)"
+        """A sentence for the recording's assumptions, with the codes of findings in brackets; it is stored: rewording
+        it changes the digests of artifacts."""
+        judgement = self.judgement
+        known = f"{judgement.told:.0%} of the depth of a frame, warped into another, meets what was measured there"
+        known += f" ({judgement.n_pairs} pairs)"
+        if not judgement.codes:
+            return f"{known}; {SURE}"
+        parts: list[str] = []
+        for code, reason in judgement.reasons.items():
+            if code in _QUESTIONS:
+                parts += [*([] if parts else [known]), f"cannot tell {_QUESTIONS[code]}: {reason} [{code}]"]
+            elif CODES[code].severity == "note":
+                parts.append(f"cannot tell: {reason} [{code}]")
+            else:
+                parts.append(f"{reason} [{code}]")
+        if judgement.objections and not set(ADVICE) & set(judgement.codes):
+            parts.append(self.judgement.fix(self.offers))
+        return "; ".join([*parts, *([TRUSTED] if self.is_trusted and judgement.objections else [])])
+
+    def findings(self, place: str) -> list[Finding]:
+        """What is wrong, or cannot be told; with `trusted` if it is read as told in spite of it."""
+        found = self.judgement.findings(place, self.offers)
+        if self.is_trusted and self.judgement.objections:
+            found.append(Finding("trusted", place, ", ".join(self.judgement.objections)))
+        return found
 
     def refuse(self, source: Path, camera: str) -> None:
         """Raise `BadData` if depth is sure that the recording is read wrongly and there is something to do about it."""
-        if self.verdict == "other" and self.options:
-            fix = f"pass {self.options}; --trust reads it as told."
-            if self.better_share < min(GOOD_SHARE, CLEAR_GAIN * self.share):
-                fix = f"check the intrinsics first, as neither fits well. If they are right, {fix}"
-        elif self.verdict == "other" and self.fix:
-            fix = f"{self.fix}; --trust reads it as told."
-        elif self.verdict == "nothing fits":
-            fix = "check that poses, depth and intrinsics belong together, and depth's unit; --trust reads it as told."
-        elif self.verdict == "moved":
-            fix = "pass the poses of this recording, one for each frame; --trust reads it as told."
-        else:
+        refused = [code for code in self.judgement.objections if code not in NOTED]
+        if self.is_trusted or not refused:
             return
-        raise BadData(source, f"poses of {camera}", expected="a reading that depth supports", got=self.text, fix=fix)
+        raise BadData(
+            source,
+            f"poses of {camera}",
+            expected="a reading that depth supports",
+            got="; ".join(f"{self.judgement.reasons[code]} [{code}]" for code in refused),
+            fix=f"{self.judgement.fix(self.offers)}; --trust reads it as told.",
+        )
+
+
+def codes_in(text: str) -> tuple[str, ...]:
+    """The codes of findings in the text of an assumption."""
+    return tuple(code for code in re.findall(r"\[([a-z-]+)\]", text) if code in CODES)
+
+
+def advice(text: str) -> str:
+    """What to do about the findings in the text of an assumption that state no remedy themselves."""
+    said = dict.fromkeys(ADVICE[code] for code in codes_in(text) if code in ADVICE)
+    return f".  fix: {'; '.join(said)}" if said and TRUSTED not in text else ""
 
 
 def is_doubtful(text: str) -> bool:

@@ -182,7 +182,11 @@ def test_poses_of_another_convention_are_refused_with_the_options_that_fit(tmp_p
     corrected = cli(*call, "--pose-is", "world_from_camera", "--axes", "opencv")
     assert corrected.exit_code == 0 and "assumed     agreement: " in corrected.stderr
     trusted = cli(*call, "--axes", "opengl", "--trust", "--force")
-    assert trusted.exit_code == 0 and "note        agreement: " in trusted.stderr
+    assert trusted.exit_code == 0 and "[trusted]" in trusted.stderr
+    lines = trusted.stderr.splitlines()
+    [warned] = [i for i, line in enumerate(lines) if line.startswith("warning: agreement: ")]
+    last = max(i for i, line in enumerate(lines) if line.startswith("  assumed"))
+    assert last < warned < len(lines) - 1, "after the assumptions, before what was made"
 
 
 def test_lists_on_the_command_line_are_split_at_commas(one_scan: Dataset) -> None:
