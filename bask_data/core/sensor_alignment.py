@@ -14,10 +14,10 @@ from bask_data.core.depth import SIGMA_FROM_MAD
 from bask_data.core.geometry import invert_rigid, rotation_angle, transform
 from bask_data.core.sensor_frames import BlockPoints
 
-N_ALIGNED = 1500
+N_ALIGNED = 1000
 """Points of a frame that are compared with another. Sensitivity not measured."""
 
-GATES = (0.1, 0.06, 0.03, 0.02, 0.02, 0.02)
+GATES = (0.1, 0.05, 0.025, 0.02, 0.02)
 """Largest distances of surfaces that are compared, relative to depth, step by step. Sensitivity not measured."""
 
 SAME_FACING = 0.7
@@ -77,21 +77,20 @@ def aligned(a: BlockPoints, b: BlockPoints, b_from_a: Float[ndarray, "4 4"]) -> 
     points_a = a.points.reshape(-1, 3)[known].astype(np.float64)
     normals_a = a.normals.reshape(-1, 3)[known].astype(np.float64)
     target = (b.points, b.normals, b.K, b.step)
-    corrected = b_from_a.copy()
+    corrected = np.array(b_from_a, np.float64)
     before = after = float("nan")
     start = points_a[:0]
     for i_step, gate in enumerate((*GATES, GATES[-1])):
         block, distance, q, n, n_landed = _compared(points_a, normals_a, *target, corrected, gate, SAME_FACING)
-        near = block >= 0
-        if near.sum() < LEAST_COMPARED:
+        near = np.flatnonzero(block >= 0)
+        if len(near) < LEAST_COMPARED:
             return None
-        r, n, x = distance[near], n[near], q[near]
-        after = float(np.median(np.abs(r)))
+        x, n = q[near], n[near]
+        after = float(np.median(np.abs(distance[near])))
         if i_step == 0:
             before, start = after, x
         if i_step < len(GATES):
-            weight = np.clip(1 - (r / (4 * SIGMA_FROM_MAD * after + 1e-9)) ** 2, 0, None) ** 2
-            corrected = _step(x, n, r, weight) @ corrected
+            corrected = _step(x, n, distance[near], 4 * SIGMA_FROM_MAD * after + 1e-9) @ corrected
     correction = corrected @ invert_rigid(b_from_a)
     change = x - transform(invert_rigid(correction), x)
     grey_a, grey_b = a.grey.ravel()[known][near], b.grey.ravel()[block[near]]
@@ -102,8 +101,8 @@ def aligned(a: BlockPoints, b: BlockPoints, b_from_a: Float[ndarray, "4 4"]) -> 
         angle=float(rotation_angle(correction[:3, :3])),
         before=before,
         after=after,
-        overlap=float(near.mean()),
-        agree=float(near.sum() / max(1, n_landed)),
+        overlap=len(near) / len(known),
+        agree=len(near) / max(1, n_landed),
         depth=float(np.median(x[:, 2])),
         gain=float(np.median(np.log(grey_b[lit] / grey_a[lit]))) if lit.sum() >= LEAST_COMPARED else float("nan"),
     )
@@ -157,20 +156,51 @@ def _compared(
     return block, distance, q, n, n_landed
 
 
-def _step(
-    x: Float[ndarray, "n 3"], n: Float[ndarray, "n 3"], r: Float[ndarray, " n"], weight: Float[ndarray, " n"]
-) -> Float[ndarray, "4 4"]:
-    """The small rigid motion that reduces the distances most."""
-    total = weight.sum() + 1e-12
-    centre = (weight[:, None] * x).sum(axis=0) / total
-    arm = x - centre
-    # Turns are counted in metres at the points' typical distance, so that all six unknowns weigh alike.
-    size = float(np.sqrt((weight * (arm**2).sum(axis=1)).sum() / total)) + 1e-9
-    jacobian = np.concatenate([np.cross(arm, n) / size, n], axis=1)
-    normal = (jacobian * weight[:, None]).T @ jacobian / total
+def _step(x: ndarray, n: ndarray, r: ndarray, reach: float) -> ndarray:
+    """The small rigid motion that reduces the distances most.
+
+    Args:
+        x, n, r: points and normals (n, 3), and distances (n,). Not checked by type: it runs hundreds of times.
+        reach: distance from which a point has no weight, metres.
+    """
+    centre, size, normal, right = _equations(x, n, r, reach)
     normal += PRIOR * np.trace(normal) / 6 * np.eye(6)
-    solution = -np.linalg.solve(normal, (jacobian * weight[:, None]).T @ r / total)
+    solution = -np.linalg.solve(normal, right)
     motion = np.eye(4)
     motion[:3, :3] = cv2.Rodrigues(solution[:3] / size)[0]
     motion[:3, 3] = centre + solution[3:] - motion[:3, :3] @ centre
     return motion
+
+
+@compiled
+def _equations(x: ndarray, n: ndarray, r: ndarray, reach: float) -> tuple[ndarray, float, ndarray, ndarray]:
+    """The normal equations of point to plane with Tukey's weights: about which centre they turn, the metres that a
+    turn is counted in, so that all six unknowns weigh alike, the matrix and the right side."""
+    count = len(r)
+    weight = np.zeros(count)
+    centre, total = np.zeros(3), 1e-12
+    for i in range(count):
+        weight[i] = max(0.0, 1 - (r[i] / reach) ** 2) ** 2
+        total += weight[i]
+        for k in range(3):
+            centre[k] += weight[i] * x[i, k]
+    centre /= total
+    square = 0.0
+    for i in range(count):
+        for k in range(3):
+            square += weight[i] * (x[i, k] - centre[k]) ** 2
+    size = np.sqrt(square / total) + 1e-9
+    normal, right, row = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    for i in range(count):
+        if weight[i] == 0:
+            continue
+        a0, a1, a2 = (x[i, 0] - centre[0]) / size, (x[i, 1] - centre[1]) / size, (x[i, 2] - centre[2]) / size
+        row[0] = a1 * n[i, 2] - a2 * n[i, 1]
+        row[1] = a2 * n[i, 0] - a0 * n[i, 2]
+        row[2] = a0 * n[i, 1] - a1 * n[i, 0]
+        row[3], row[4], row[5] = n[i, 0], n[i, 1], n[i, 2]
+        for k in range(6):
+            right[k] += weight[i] * row[k] * r[i] / total
+            for m in range(6):
+                normal[k, m] += weight[i] * row[k] * row[m] / total
+    return centre, size, normal, right

@@ -21,6 +21,12 @@ MARK_RATIO = 1.5
 PLANE_TRIPLES = 80
 """Planes tried in a frame: a plane with half of the points is missed once in 40,000. Sensitivity not measured."""
 
+N_POINTS_OF_PLANE = 2500
+"""Points of a frame that a plane is fitted to. Sensitivity not measured."""
+
+N_JUDGED_PLANES = 24
+"""Frames, spread over the recording, whose planes are fitted."""
+
 ON_PLANE = 0.02
 """Distance from a plane, relative to depth, that a bowl may have at the image's edge. Sensitivity not measured."""
 
@@ -104,7 +110,7 @@ def bowl(frames: Sequence[BlockPoints], width: int, rng: np.random.Generator) ->
         width: of the image, pixels.
     """
     bends, depths = [], []
-    for blocks in frames:
+    for blocks in frames[:: max(1, len(frames) // N_JUDGED_PLANES)]:
         found = _bend(blocks, rng)
         if found is not None:
             bends.append(found[0])
@@ -123,9 +129,10 @@ def bowl(frames: Sequence[BlockPoints], width: int, rng: np.random.Generator) ->
 def _bend(blocks: BlockPoints, rng: np.random.Generator) -> tuple[float, float] | None:
     """Coefficient of the squared distance from the middle, relative to inverse depth, and the plane's depth."""
     points = blocks.points.reshape(-1, 3)
-    points = points[np.isfinite(points[:, 2])][::2].astype(np.float64)
+    points = points[np.isfinite(points[:, 2])].astype(np.float64)
     if len(points) < 300:
         return None
+    points = points[:: max(1, len(points) // N_POINTS_OF_PLANE)]
     x, y, inverse = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2], 1 / points[:, 2]
     flat = np.stack([x, y, np.ones(len(x))], axis=1)
     best = _largest_plane(flat, inverse, rng)
@@ -139,7 +146,8 @@ def _bend(blocks: BlockPoints, rng: np.random.Generator) -> tuple[float, float] 
     scale = float(np.median(inverse[best]))
     solution = np.zeros(4)
     for _ in range(6):
-        solution = np.linalg.lstsq(curved * weight[:, None], inverse * weight, rcond=None)[0]
+        weighted = curved * weight[:, None]
+        solution = np.linalg.lstsq(weighted.T @ curved, weighted.T @ inverse, rcond=None)[0]
         error = np.abs(inverse - curved @ solution) / inverse
         sigma = max(1.4826 * float(np.median(error[best])), 1e-6)
         weight = np.clip(1 - (error / (4 * sigma)) ** 2, 0, None) * (error < ON_PLANE)
@@ -156,6 +164,7 @@ def _largest_plane(
     if not good.any():
         return np.zeros(len(flat), bool)
     planes = np.linalg.solve(matrices[good], inverse[triples[good]][..., None])[..., 0]
-    near = np.abs(flat @ planes.T - inverse[:, None]) < ON_PLANE * inverse[:, None]
-    chosen: Bool[ndarray, " n"] = near[:, near.sum(axis=0).argmax()]
-    return chosen
+    some = slice(None, None, 4)
+    near = np.abs(flat[some] @ planes.T - inverse[some, None]) < ON_PLANE * inverse[some, None]
+    best = planes[near.sum(axis=0).argmax()]
+    return np.asarray(np.abs(flat @ best - inverse) < ON_PLANE * inverse)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import TYPE_CHECKING
 
 from bask_data.doctor.depth_checks import depth_findings
@@ -56,7 +56,9 @@ def sensor_findings(
         rgb, depth = read(i_frame)
         width = depth.shape[1]
         frames.append(measures_of(i_frame, rgb, depth, Ks[i_frame]))
-    pairs = NeighbourPairs([frame for frame in frames if frame.measured > 0], world_from_cameras)
+    # Depth of another moment would have poses blamed for it.
+    own = [b for a, b in pairwise([None, *frames]) if b and b.measured > 0 and not (a and a.depth_hash == b.depth_hash)]
+    pairs = NeighbourPairs(own, world_from_cameras)
     findings = [
         *_image_findings(place, frames, world_from_cameras),
         *depth_findings(place, frames, width),
