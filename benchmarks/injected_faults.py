@@ -13,6 +13,8 @@ import shlex
 import sys
 import tempfile
 from collections import Counter
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 from typer.testing import CliRunner
@@ -53,7 +55,7 @@ def main() -> int:
     tally: dict[str, list[str]] = {}
     with tempfile.TemporaryDirectory() as name:
         for seed in seeds:
-            rows = [*_recordings(seed, Path(name), options.only), *_datasets(seed, Path(name), options.only)]
+            rows = chain(_recordings(seed, Path(name), options.only), _datasets(seed, Path(name), options.only))
             for fault, codes, found, clean in rows:
                 if not codes:
                     alarms.update(f"{severity} {code}" for severity, code in found if severity != "note")
@@ -77,27 +79,26 @@ Row = tuple[str, tuple[str, ...], Found, Found]
 """A fault, its codes (none: clean), what was found, and what was found without the fault."""
 
 
-def _recordings(seed: int, folder: Path, only: str) -> list[Row]:
+def _recordings(seed: int, folder: Path, only: str) -> Iterator[Row]:
     clean = clean_frames(seed)
     without = of_frames(clean, folder / f"clean{seed}")
-    rows: list[Row] = [("clean recording", (), without, without)]
+    yield "clean recording", (), without, without
     for i, fault in enumerate(FAULTS):
         if only in fault.name:
-            rows.append((fault.name, fault.codes, of_frames(fault.inject(clean), folder / f"fault{seed}_{i}"), without))
-    return rows
+            found = of_frames(fault.inject(clean), folder / f"fault{seed}_{i}")
+            yield fault.name, fault.codes, found, without
 
 
-def _datasets(seed: int, folder: Path, only: str) -> list[Row]:
+def _datasets(seed: int, folder: Path, only: str) -> Iterator[Row]:
     seen = take(seed), take(seed + 10_000), take(seed + 20_000)
     without: Found = []
     for k, content in enumerate((Content(), Content(splits=True))):
         without += examined(write_dataset(folder / f"clean_dataset{seed}_{k}", seen, content).root)
-    rows: list[Row] = [("clean dataset", (), without, without)]
+    yield "clean dataset", (), without, without
     for i, fault in enumerate(DATASET_FAULTS):
         if only in fault.name:
             dataset = write_dataset(folder / f"dataset{seed}_{i}", seen, fault.content)
-            rows.append((fault.name, fault.codes, examined(dataset.root), without))
-    return rows
+            yield fault.name, fault.codes, examined(dataset.root), without
 
 
 if __name__ == "__main__":
