@@ -13,8 +13,7 @@ from bask_data.cli import completion
 from bask_data.cli.commands import CommandList
 from bask_data.cli.console import print_result, say, shown_progress
 from bask_data.cli.ingest import app as ingest_app
-from bask_data.cli.ingest_auto import command_of
-from bask_data.cli.ingest_run import IngestRequest
+from bask_data.cli.ingest_run import IngestRequest, command_of
 from bask_data.cli.options import Json, checked_options, given_options, names_of
 from bask_data.dataset import DATASET, Dataset, plain_name
 from bask_data.errors import BadData, MissingDependency, UsageError

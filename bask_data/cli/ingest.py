@@ -95,6 +95,14 @@ Picture = Annotated[
     Path | None,
     typer.Option("--picture", help="Write a picture of depth's edges over colour: do they lie on each other?"),
 ]
+Report = Annotated[
+    Path | None,
+    typer.Option(
+        "--report",
+        help="Write the doctor's page about the source, also if it is refused: findings, evidence, pictures.",
+        metavar="FILE",
+    ),
+]
 
 app = CommandList(
     name="ingest",
@@ -119,13 +127,13 @@ def _add_format(format: Format) -> None:
         *options_of(format.name, format.options),
         _replace("Replace an existing recording."),
         parameter("picture", Picture, None),
+        parameter("report", Report, None),
         parameter("json_", Json, False),
     ]
 
-    def body(
-        source: Path, root: Path, scene: str, as_: Any, force: bool, picture: Path | None, json_: bool, **options: Any
-    ) -> None:
-        run_ingest(IngestRequest(format, source, root, scene, as_, options, force, json_, picture))
+    def body(source: Path, root: Path, scene: str, as_: Any, json_: bool, **options: Any) -> None:
+        given = {name: options.pop(name) for name in ("force", "picture", "report")}
+        run_ingest(IngestRequest(format, source, root, scene, as_, options, as_json=json_, **given))
 
     add_command(app, format.name, parameters, body, help=format.help, epilog=EXAMPLES.get(format.name))
 

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 import typer
 
 from bask_data.cli.console import print_result, say
-from bask_data.cli.ingest_run import IngestRequest, run_ingest
+from bask_data.cli.ingest_run import IngestRequest, command_of, flag_of, run_ingest
 from bask_data.cli.options import Json, Root
-from bask_data.cli.working import quoted, with_options
+from bask_data.cli.working import quoted
 from bask_data.errors import BaskError, UsageError
 from bask_data.formats import FORMATS, Format
 from bask_data.formats.guess import Guess
@@ -76,17 +76,8 @@ def ingest_auto(
     lines = [f"{guess.format}: {'; '.join(guess.reasons)}", command]
     print_result("ingest auto", lines, _described(guess, command), json_)
     if not json_:
-        missing = " and ".join(f"--{_flag(name)}" for name in guess.missing)
+        missing = " and ".join(f"--{flag_of(name)}" for name in guess.missing)
         say(f"next: put in {missing}, which no file states, and run it." if missing else "next: run it, or add --yes.")
-
-
-def command_of(request: IngestRequest, missing: dict[str, str]) -> str:
-    """The command line of a request, quoted for a shell, with placeholders for what is missing."""
-    options = {f"--{_flag(name)}": value for name, value in {**request.options, **missing}.items()}
-    words = f"bask-data ingest {request.format.name} {quoted(request.source)} {quoted(request.root)}"
-    kind = {} if request.kind == "scan" else {"--as": request.kind}
-    force = {"--force": True} if request.force else {}
-    return with_options(words, {"--scene": request.scene, **kind, **options, **force})
 
 
 def _refuse(
@@ -130,7 +121,3 @@ def _with_episodes(guess: Guess) -> Guess:
     shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     reason = f"{len(names)} episodes: {shown}"
     return replace(guess, reasons=(*guess.reasons, reason), options={**guess.options, "episode": "all"})
-
-
-def _flag(field: str) -> str:
-    return field.replace("_", "-")

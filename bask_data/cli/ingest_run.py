@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from bask_data.cli.console import say, show_outcome, shown_progress, warn
 from bask_data.cli.options import checked_options
-from bask_data.cli.working import finish, quoted
-from bask_data.errors import UsageError
+from bask_data.cli.working import finish, quoted, with_options
+from bask_data.errors import BadData, UsageError
 from bask_data.formats import Format
 from bask_data.formats.options.common import SourceOptions
 
@@ -26,6 +26,7 @@ class IngestRequest:
     Args:
         options: those of the format that were set, by field.
         picture: file for a picture of depth's edges over colour.
+        report: file for the doctor's page.
     """
 
     format: Format
@@ -37,6 +38,7 @@ class IngestRequest:
     force: bool = False
     as_json: bool = False
     picture: Path | None = None
+    report: Path | None = None
 
 
 def run_ingest(request: IngestRequest) -> None:
@@ -72,13 +74,31 @@ def _ingested(request: IngestRequest) -> Iterator[EpisodeIngested]:
         "force": request.force,
     }
     if are_several(str(getattr(options, "episode", ""))):
-        if request.picture:
-            raise UsageError("--picture", expected="one episode", got="several", fix="pass --episode NAME.")
+        for name, file in (("--picture", request.picture), ("--report", request.report)):
+            if file:
+                raise UsageError(name, expected="one episode", got="several", fix="pass --episode NAME.")
         yield from ingest_episodes(request.root, request.scene, **arguments)
     else:
-        yield EpisodeIngested(request.scene, *ingest(request.root, request.scene, **arguments))
+        try:
+            ingested = ingest(request.root, request.scene, **arguments)
+        except BadData:
+            _write_page(request, options)  # That is when it is needed.
+            raise
+        yield EpisodeIngested(request.scene, *ingested)
         if request.picture:
             _draw(request.root / request.kind / request.scene, request.picture)
+        _write_page(request, options)
+
+
+def _write_page(request: IngestRequest, options: SourceOptions) -> None:
+    """Write the doctor's page about the source, if asked to."""
+    if request.report is None:
+        return
+    from bask_data.doctor.page import write_page
+    from bask_data.doctor.sources import AskedSource, examine_source
+
+    asked = AskedSource(request.format, request.source, options, command_of(request, {}))
+    say(f"  made        {write_page(examine_source(asked, with_pictures=True), request.report)}")
 
 
 def _draw(recording: Path, file: Path) -> None:
@@ -107,3 +127,17 @@ def _show_assumptions(assumptions: dict[str, str]) -> None:
             say(f"  note        {name}: {text}" if doubtful else f"  assumed     {name}: {text}")
     for name, text in alarming.items():
         warn(f"{name}: {text}{advice(text)}")
+
+
+def command_of(request: IngestRequest, missing: dict[str, str]) -> str:
+    """The command line of a request, quoted for a shell, with placeholders for what is missing."""
+    options = {f"--{flag_of(name)}": value for name, value in {**request.options, **missing}.items()}
+    words = f"bask-data ingest {request.format.name} {quoted(request.source)} {quoted(request.root)}"
+    kind = {} if request.kind == "scan" else {"--as": request.kind}
+    force = {"--force": True} if request.force else {}
+    return with_options(words, {"--scene": request.scene, **kind, **options, **force})
+
+
+def flag_of(field: str) -> str:
+    """A field of options as it is typed, without the dashes."""
+    return field.replace("_", "-")

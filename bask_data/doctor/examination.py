@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from bask_data.findings import SEVERITIES, Finding, Severity, by_severity
 
-_FRAMES = re.compile(r"(.*\S) \d+(?:[-, ]+\d+)*")
+_FRAMES = re.compile(r"(.*?[^\s,]) \d+(?:-\d+)?(?:, \d+(?:-\d+)?)*")
 """A place that ends in numbers of frames."""
+
+MOST_NAMED = 4
+"""Places that are named where a finding is about several."""
 
 _LISTED = re.compile(r"(?:\d+ frames:|frames?) (\d+(?:-\d+)?(?:, \d+(?:-\d+)?)*)")
 """Evidence that begins with the numbers of frames."""
@@ -101,12 +104,26 @@ class Examination:
 
 
 def by_place(findings: Iterable[Finding]) -> dict[str, list[Finding]]:
-    """Findings by what they are about, the place with the worst first; those of single frames with their camera's."""
-    groups: dict[str, list[Finding]] = {}
+    """Findings by what they are about, the place with the worst first.
+
+    Those of single frames are with their camera's. What is said alike of several places is said once, of all of them.
+    """
+    alike: dict[tuple[str, str, str], list[Finding]] = {}
     for each in by_severity(findings):
-        match = _FRAMES.fullmatch(each.place)
-        groups.setdefault(match[1] if match else each.place, []).append(each)
+        alike.setdefault((each.code, each.evidence, each.fix), []).append(each)
+    groups: dict[str, list[Finding]] = {}
+    for same in alike.values():
+        place = joined([each.place for each in same])
+        match = _FRAMES.fullmatch(place) if len(same) == 1 else None
+        groups.setdefault(match[1] if match else place, []).append(replace(same[0], place=place))
     return groups
+
+
+def joined(places: Sequence[str]) -> str:
+    """Several places in words: the first ones, and how many more there are."""
+    named = list(dict.fromkeys(places))
+    more = len(named) - MOST_NAMED
+    return ", ".join(named) if more <= 0 else f"{', '.join(named[:MOST_NAMED])} and {more} more"
 
 
 def frames_of(finding: Finding) -> list[int]:

@@ -1,48 +1,58 @@
-"""What depth says about poses, unit and clock, as findings."""
+"""What depth says about poses, units, intrinsics and clock of a camera, as findings and as bars."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from bask_data.core.readings import judge
 from bask_data.doctor.examination import Bar
-from bask_data.findings import Finding
-from bask_data.formats.verdict import STILL, Agreement
+from bask_data.findings import Finding, by_severity
+from bask_data.formats.recording import CameraRecording
+from bask_data.formats.verdict import TRUSTED, Agreement
 
 
-def reading_findings(place: str, agreement: Agreement) -> list[Finding]:
-    """What is wrong, or cannot be told, about the way a camera was read; empty if depth is sure that it is right."""
-    if agreement.verdict == "fits":
-        return []
-    fix = agreement.fix
-    if agreement.options:
-        fix = f"read it with {agreement.options}"
-    if agreement.verdict == "other":
-        return [Finding(_code_of(agreement), place, agreement.text, fix)]
-    if agreement.verdict == "nothing fits":
-        fix = "check that poses, depth and intrinsics belong together, and depth's unit"
-        return [Finding("poses-unrelated", place, agreement.text, fix)]
-    if agreement.verdict == "moved":
-        return [Finding("camera-moved", place, agreement.text, "give the poses of this recording, one for each frame")]
-    if agreement.n_pairs == 0:
-        return [Finding("few-views", place, agreement.text)]
-    if agreement.rivals == (STILL,):
-        return [Finding("hardly-moves", place, agreement.text)]
-    return [Finding("reading-unknown", place, agreement.text, "check the conventions yourself: docs/conventions.md")]
+def agreement_of_stored(camera: CameraRecording, assumptions: dict[str, str]) -> Agreement:
+    """What depth says about a stored camera.
+
+    Args:
+        assumptions: of its recording: they say whether it was read as told in spite of what depth objected to.
+    """
+    judgement = judge(
+        camera.n_frames,
+        lambda i: camera.read_depth(i).astype("float32") * camera.depth_scale,
+        camera.Ks,
+        camera.world_from_cameras,
+    )
+    is_trusted = any(TRUSTED in text for name, text in assumptions.items() if name.endswith("agreement"))
+    return Agreement(judgement, is_trusted=is_trusted)
 
 
-def _code_of(agreement: Agreement) -> str:
-    said = agreement.options or agreement.better
-    if said.startswith("--depth-is"):
-        return "other-depth"
-    if said.startswith("the pose of"):
-        return "other-clock"
-    if said.startswith(("--depth-scale", "--pose-unit", "depth ", "distances ")):
-        return "other-unit"
-    return "other-reading"
+def reading_findings(place: str, said: Agreement, again: str = "") -> list[Finding]:
+    """What is wrong, or cannot be told; empty if depth is sure that the camera was read rightly.
+
+    Args:
+        again: what reads a stored recording again, for the fixes.
+    """
+    findings = by_severity(said.findings(place))
+    if not again:
+        return findings
+    return [
+        replace(each, fix=f"{each.fix}, when you read it again: {again}") if each.severity == "error" else each
+        for each in findings
+    ]
 
 
-def evidence_of(agreement: Agreement) -> tuple[Bar, ...]:
-    """The readings that were compared, as far as they are known, the best first."""
-    if agreement.n_pairs == 0:
+def is_sure(said: Agreement) -> bool:
+    """Whether no other reading does as well."""
+    return not said.judgement.codes
+
+
+def bars(said: Agreement) -> tuple[Bar, ...]:
+    """Evidence of the reading as told, and of the best one if that is another."""
+    judgement = said.judgement
+    if judgement.n_pairs == 0:
         return ()
-    told = Bar("as told", agreement.share, is_told=True)
-    better = [Bar(agreement.better, agreement.better_share)] if agreement.better else []
-    return (*better, told)
+    told = Bar("as read", judgement.told, is_told=True)
+    if not judgement.best.departures:
+        return (told,)
+    return (Bar(judgement.option[0] or judgement.best.words, judgement.share), told)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -12,12 +12,11 @@ from jaxtyping import Float32, UInt8
 from numpy import ndarray
 
 from bask_data.doctor.examination import ExaminedCamera, Picture, frames_of
-from bask_data.doctor.reading import evidence_of, reading_findings
+from bask_data.doctor.reading import agreement_of_stored, bars, is_sure, reading_findings
 from bask_data.doctor.recording_checks import sensor_findings
 from bask_data.drawing.images import resize
 from bask_data.errors import BadData
 from bask_data.findings import Finding
-from bask_data.formats.agreement import agreement
 from bask_data.formats.kept_frames import KeptFrames
 from bask_data.formats.recording import CameraRecording
 from bask_data.formats.registration import edge_pictures, registration
@@ -36,15 +35,17 @@ SHOWN_WIDTH = 480
 
 @dataclass(frozen=True)
 class Settings:
-    """How to examine a camera.
+    """How to examine the cameras of a recording.
 
     Args:
         with_pictures: whether to make pictures for a page.
-        again: what reads the recording again, for fixes of stored ones; empty for sources.
+        again: what reads a stored recording again, for fixes; empty for sources.
+        assumptions: of a stored recording.
     """
 
     with_pictures: bool = False
     again: str = ""
+    assumptions: dict[str, str] = field(default_factory=dict)
 
 
 def examine_camera(
@@ -62,15 +63,13 @@ def examine_camera(
     told: list[Agreement] = []
 
     def check_reading() -> None:
-        told.append(judged or agreement(camera, {}))
-        found = reading_findings(place, told[0])
-        findings.extend(found)
-        if not found:
+        told.append(judged or agreement_of_stored(camera, settings.assumptions))
+        findings.extend(reading_findings(place, told[0], settings.again))
+        if is_sure(told[0]):
             right.append(f"reading: sure; {told[0].text}")
 
     def check_registration() -> None:
-        poses_fit = bool(told) and told[0].verdict == "fits"
-        said = registration(camera, poses_fit)
+        said = registration(camera, not (told and told[0].judgement.objections))
         findings.extend(said.findings(place))
         if said.verdict == "fits":
             right.append(said.text)
@@ -86,9 +85,7 @@ def examine_camera(
     facts: dict[str, Any] = {}
     for check in (check_reading, check_registration, check_sensor, lambda: facts.update(facts_of(camera))):
         findings += _unreadable(place, check)
-    if settings.again:
-        findings = [_with_command(each, settings.again) for each in findings]
-    made = ExaminedCamera(place, facts, tuple(findings), tuple(right), evidence_of(told[0]) if told else ())
+    made = ExaminedCamera(place, facts, tuple(findings), tuple(right), bars(told[0]) if told else ())
     return with_pictures(made, camera) if settings.with_pictures else made
 
 
@@ -99,12 +96,6 @@ def _unreadable(place: str, check: Callable[[], None]) -> list[Finding]:
     except BadData as error:
         return [Finding("unreadable", place, error.fault, error.fix)]
     return []
-
-
-def _with_command(finding: Finding, again: str) -> Finding:
-    """The finding of a stored recording, whose mending begins with reading the source again."""
-    is_option = "--" in finding.fix and "bask-data" not in finding.fix
-    return replace(finding, fix=f"{finding.fix}; the recording was made by `{again}`") if is_option else finding
 
 
 def sharing(camera: CameraRecording) -> CameraRecording:

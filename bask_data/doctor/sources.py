@@ -7,6 +7,7 @@ from pathlib import Path
 
 from bask_data.doctor.examination import Examination, ExaminedCamera
 from bask_data.doctor.recording import Settings, examine_camera
+from bask_data.doctor.recording_checks import stamp_findings
 from bask_data.errors import BadData
 from bask_data.findings import Finding
 from bask_data.formats import Format
@@ -77,8 +78,10 @@ def _examined(asked: AskedSource, name: str, with_pictures: bool) -> Examination
     if read is not None:
         settings = Settings(with_pictures)
         for camera in progress(read.cameras, f"examining {name}", len(read.cameras)):
-            judged = read.agreements.get(camera.name)
+            # It was read with --trust only so that nothing is refused.
+            judged = replace(read.agreements[camera.name], is_trusted=asked.options.trust)
             cameras.append(examine_camera(f"{name}/{camera.name}", camera, settings, judged))
+        refused += stamp_findings(name, {camera.name: camera.time for camera in read.cameras})
     return Examination(
         str(asked.source), tuple(cameras), tuple(refused), (), asked.command, read.assumptions if read else {}
     )

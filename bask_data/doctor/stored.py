@@ -9,6 +9,7 @@ from bask_data.dataset import Dataset, Source
 from bask_data.doctor.dataset_checks import dataset_findings
 from bask_data.doctor.examination import Examination, ExaminedCamera
 from bask_data.doctor.recording import Settings, examine_camera, of_stored
+from bask_data.doctor.recording_checks import stamp_findings
 from bask_data.errors import BadData
 from bask_data.findings import Finding
 from bask_data.formats import FORMATS
@@ -31,25 +32,29 @@ def examine_dataset(dataset: Dataset, only: Sequence[str] = (), with_pictures: b
     cameras: list[ExaminedCamera] = []
     for name in progress(names, "examining recordings", len(names)):
         try:
-            cameras += _cameras(dataset, name, with_pictures)
+            of_recording, stamps = _examined(dataset, name, with_pictures)
         except BadData as error:
-            findings.append(
-                Finding("damaged", name, error.fault, f"bask-data validate {shlex.quote(str(dataset.root))}")
-            )
+            fix = f"bask-data validate {shlex.quote(str(dataset.root))}"
+            of_recording, stamps = [], [Finding("damaged", name, error.fault, fix)]
+        cameras += of_recording
+        findings += stamps
     of_dataset, right = dataset_findings(dataset, names)
     return Examination(str(dataset.root), tuple(cameras), (*findings, *of_dataset), tuple(right))
 
 
-def _cameras(dataset: Dataset, name: str, with_pictures: bool) -> list[ExaminedCamera]:
+def _examined(dataset: Dataset, name: str, with_pictures: bool) -> tuple[list[ExaminedCamera], list[Finding]]:
+    """The cameras of a recording, and what is wrong between them."""
     kind = Scan if name in dataset.file.scenes else Demonstration
     path = dataset.path(kind, name)
     if not path.exists():
-        return []  # The dataset's own checks report it.
+        return [], []  # The dataset's own checks report it.
     recording: Recording = kind(path)
     recording.check_complete()
     sources = {**dataset.file.scenes, **dataset.file.demonstrations}
-    settings = Settings(with_pictures, ingest_command(dataset, name, sources[name]))
-    return [examine_camera(f"{name}/{each.name}", of_stored(each), settings) for each in recording.cameras]
+    settings = Settings(with_pictures, ingest_command(dataset, name, sources[name]), recording.metadata.assumptions)
+    cameras = recording.cameras
+    examined = [examine_camera(f"{name}/{each.name}", of_stored(each), settings) for each in cameras]
+    return examined, stamp_findings(name, {each.name: each.time for each in cameras})
 
 
 def ingest_command(dataset: Dataset, name: str, source: Source) -> str:

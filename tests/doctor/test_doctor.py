@@ -14,7 +14,8 @@ from typer.testing import CliRunner, Result
 
 from bask_data.cli.app import app
 from bask_data.dataset import Dataset
-from bask_data.findings import CODES
+from bask_data.doctor.examination import by_place, frames_of
+from bask_data.findings import CODES, Finding
 from tests.datasets import copied
 from tests.scripts import script
 from tests.tiny import write_recording
@@ -141,6 +142,54 @@ def test_the_page_holds_findings_pictures_and_nothing_from_elsewhere(
     assert page.count("data:image/jpeg") >= 4
     assert re.findall(r'(?:src|href)="(?!data:|#)', page) == []
     assert list(file.parent.iterdir()) == [file]
+
+
+@pytest.mark.parametrize("depth_scale", ["0.0001", "0.001"])
+def test_ingest_writes_the_page_also_when_it_refuses(recording, tmp_path: Path, depth_scale: str) -> None:
+    source, read_as = recording
+    options = shlex.split(read_as.replace("0.0001", depth_scale))[1:]
+    file = tmp_path / "page.html"
+    words = ["ingest", "frames", str(source), str(tmp_path / "data"), "--scene", "table", *options]
+    answer = CliRunner().invoke(app, [*words, "--report", str(file)])
+    is_refused = depth_scale == "0.001"
+    assert answer.exit_code == (4 if is_refused else 0), answer.output
+    assert (tmp_path / "data").exists() != is_refused
+    page = file.read_text()
+    assert ("other-unit" in page) == is_refused and "ingest frames" in page
+
+
+def test_a_page_about_several_episodes_is_refused(tmp_path: Path) -> None:
+    words = ["ingest", "rlbench", str(tmp_path), str(tmp_path / "data"), "--scene", "a", "--episode", "all"]
+    answer = CliRunner().invoke(app, [*words, "--report", str(tmp_path / "page.html")])
+    assert answer.exit_code == 2
+    assert "--report: expected one episode, got several" in answer.stderr
+
+
+def test_what_is_said_alike_of_several_places_is_said_once() -> None:
+    places = [f"scan{i}/overhead" for i in range(6)]
+    findings = [Finding("hardly-moves", place, "it rests") for place in places]
+    other = Finding("frame-off", "scan0/wrist 12", "far off")
+    groups = by_place([*findings, other])
+    assert groups["scan0/wrist"] == [other]
+    [one] = groups["scan0/overhead, scan1/overhead, scan2/overhead, scan3/overhead and 2 more"]
+    assert (one.code, one.evidence) == ("hardly-moves", "it rests")
+    assert next(iter(groups)) == "scan0/wrist"
+
+
+@pytest.mark.parametrize(
+    ("place", "evidence", "frames"),
+    [
+        ("table/wrist 12", "far off", [12]),
+        ("table/wrist 3-5, 9", "far off", [3, 4, 5, 9]),
+        ("table/wrist", "frame 7: 1.36 times as bright", [7]),
+        ("table/wrist", "3 frames: 2, 8-9: off by 12 mm", [2, 8, 9]),
+        ("table/wrist", "frames 4-6 repeat the colour image of the frame before", [4, 5, 6]),
+        ("table/wrist", "36% of the pixels have depth in the median frame", []),
+        ("masks of scan 2b", "none", []),
+    ],
+)
+def test_frames_that_a_finding_names_are_shown(place: str, evidence: str, frames: list[int]) -> None:
+    assert frames_of(Finding("frame-off", place, evidence)) == frames
 
 
 @pytest.mark.parametrize(
