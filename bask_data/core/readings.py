@@ -16,6 +16,7 @@ from jaxtyping import Float, Float32
 from numpy import ndarray
 
 from bask_data.core.readings_evidence import PairedViews
+from bask_data.core.readings_frozen import frozen_runs, moved_runs
 from bask_data.core.readings_hypotheses import Readings
 from bask_data.core.readings_judgement import JudgedCamera, Judgement, judgement, without_views
 from bask_data.core.readings_search import Space, other_sizes, scales, searched
@@ -58,7 +59,7 @@ def judge(
     """What the depth of a camera says about its poses, units, intrinsics and clock.
 
     Args:
-        n_frames: t; only frames in pairs are read, at most some 70, in increasing order, each once.
+        n_frames: t; only frames in pairs are read, at most some 80, in increasing order, each once.
         read_depth: z-depth of a frame as read, metres, 0 = no measurement. For a stored scan:
             `lambda i: camera.depth(i)` of `bask_data.kinds.Scan(path).cameras`, with its `Ks` and
             `world_from_cameras`.
@@ -71,7 +72,8 @@ def judge(
     if not pairs:
         return without_views(Ks[0])
     views, size = {}, (0, 0)
-    for i in sorted({i for pair in pairs for i in pair}):
+    runs = frozen_runs(world_from_cameras)
+    for i in sorted({i for pair in [*pairs, *runs] for i in pair}):
         depth = read_depth(i)
         views[i], size = _view(depth, Ks[i], settings.n_points), depth.shape
     readings = Readings.of(world_from_cameras, otherwise)
@@ -85,8 +87,9 @@ def judge(
         rays=(0, -1 if is_ray else 1),
     )
     trials, met, seen = searched(paired, space)
-    camera = JudgedCamera(world_from_cameras, readings, paired, Ks[0])
-    return judgement(camera, verdict(paired, trials, met, seen))
+    found = verdict(paired, trials, met, seen)
+    camera = JudgedCamera(world_from_cameras, readings, paired, Ks[0], moved_runs(views, runs, found.near))
+    return judgement(camera, found)
 
 
 def _pairs(n_frames: int, n_pairs: int) -> list[tuple[int, int]]:

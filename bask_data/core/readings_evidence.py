@@ -12,7 +12,7 @@ from numpy import ndarray
 from bask_data.core.geometry import invert_rigid
 from bask_data.core.warped_depth import DepthView, Warps, evidence_of
 
-RESTING = -1
+AT_REST = -1
 """In place of a reading: the camera did not move."""
 
 NO_TRANSLATION = np.inf
@@ -23,7 +23,7 @@ class Trial(NamedTuple):
     """A hypothesis in the terms of the search.
 
     Args:
-        reading: which of the readings of the poses, or `RESTING`.
+        reading: which of the readings of the poses, or `AT_REST`.
         scale: how much larger depth is in comparison with the poses.
         K_factor, lag: as in `Hypothesis`.
         ray: as in `Warps`.
@@ -96,6 +96,6 @@ class PairedViews:
         return met, seen
 
     def _row(self, trial: Trial) -> int:
-        if trial.reading == RESTING:
+        if trial.reading == AT_REST:
             return int(self._moves.shape[1]) - 1
         return trial.reading * len(self._lags) + self._lags[trial.lag]

@@ -9,9 +9,9 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from bask_data.core.geometry import view_change
-from bask_data.core.readings_evidence import NO_TRANSLATION, RESTING, PairedViews, Trial
+from bask_data.core.readings_evidence import NO_TRANSLATION, AT_REST, PairedViews, Trial
 from bask_data.core.readings_hypotheses import Hypothesis, Readings, hypothesis_of
-from bask_data.core.readings_verdict import LEAST_PAIRS, POOR_EVIDENCE, Verdict
+from bask_data.core.readings_verdict import LEAST_JUDGED_PAIRS, POOR_EVIDENCE, Verdict
 from bask_data.findings import CODES, Finding
 
 CERTAIN_PAIRS = 12
@@ -44,12 +44,14 @@ class JudgedCamera:
     Args:
         world_from_cameras: as read.
         K: of the first frame, pixels.
+        frozen: first and last frame of runs with the same pose but other depth, and evidence for a camera at rest.
     """
 
     world_from_cameras: Float[ndarray, "t 4 4"]
     readings: Readings
     views: PairedViews
     K: Float[ndarray, "3 3"]
+    frozen: list[tuple[int, int, float]]
 
 
 @dataclass(frozen=True)
@@ -219,13 +221,23 @@ class _Reasons:
 
     def all(self) -> dict[str, str]:
         """By code, in the order of importance."""
+        return self._poses() | self._repeated()
+
+    def _repeated(self) -> dict[str, str]:
+        if not self.camera.frozen:
+            return {}
+        runs = ", ".join(f"{a} to {b} ({share:.0%})" for a, b, share in self.camera.frozen)
+        text = f"frames of the same pose, of whose depth little stays where it is: {runs}; neighbours have"
+        return {"poses-repeated": f"{text} {self.found.near:.0%}"}
+
+    def _poses(self) -> dict[str, str]:
         n, told = len(self.camera.views.pairs), float(self.found.mean[self.found.trials.index(Trial(0))])
-        if n < LEAST_PAIRS:
-            return {"few-views": f"{n} pairs of frames; {LEAST_PAIRS} are needed"}
+        if n < LEAST_JUDGED_PAIRS:
+            return {"few-views": f"{n} pairs of frames; {LEAST_JUDGED_PAIRS} are needed"}
         distance, angle = self._motion()
         if distance.max() < 1e-9 and angle.max() < 1e-6:
             return self._resting()
-        if self.found.overlapping < LEAST_PAIRS:
+        if self.found.overlapping < LEAST_JUDGED_PAIRS:
             return {"few-views": f"{self.found.overlapping} of {n} pairs of frames see the same things"}
         if self.found.share < POOR_EVIDENCE and n >= CERTAIN_PAIRS:
             share = f"{told:.0%} of the depth of a frame, warped into another, meets what was measured there"
@@ -245,7 +257,7 @@ class _Reasons:
         return distance / max(self.camera.views.median_depth(), 1e-9), angle
 
     def _resting(self) -> dict[str, str]:
-        share = float(self.found.mean[self.found.trials.index(Trial(RESTING))])
+        share = float(self.found.mean[self.found.trials.index(Trial(AT_REST))])
         n = self.found.overlapping
         if share < POOR_EVIDENCE and n >= CERTAIN_PAIRS:
             text = f"all poses are the same, but only {share:.0%} of depth stays where it is ({n} pairs)"
@@ -264,6 +276,11 @@ class _Reasons:
         found = self.found
         if found.sure_of_reading:
             return {"other-reading": self._better()} if found.trial.reading != 0 else {}
+        if not found.is_distinct:
+            text = f"no reading fits clearly better than others ({found.share:.0%} and {found.other:.0%}), and frames"
+            return {
+                "reading-unknown": f"{text} far apart fit badly ({found.near:.0%} of near ones): are these its poses?"
+            }
         names = self.camera.readings.names
         rivals = [names[trial.reading] for trial in found.unbeaten if trial.reading != found.trial.reading]
         words = " or ".join(dict.fromkeys(each.words for each in [self.best, *rivals][:4]))

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from bask_data.core.readings_evidence import NO_TRANSLATION, RESTING, PairedViews, Trial
+from bask_data.core.readings_evidence import NO_TRANSLATION, AT_REST, PairedViews, Trial
 
 ENCODINGS = (1.0, 1e-3, 1e-4, 1 / 5000, 1 / 4000, 1e-2, 1e-1, 1 / 256, 1 / 1024)
 """Metres per unit of depth files in use, the most common first: metres, millimetres, 0.1 mm, TUM's, scanners',
@@ -118,9 +118,9 @@ def searched(views: PairedViews, space: Space) -> tuple[list[Trial], Float[ndarr
     trials = _kept(views, list(space.all()), chosen)
     turning = [Trial(reading, NO_TRANSLATION) for reading in space.readings]
     kept = _kept(views, _unique([*trials, *space.near(told)]), chosen)
-    trials = _unique([told, Trial(RESTING), *turning, *kept])
+    trials = _unique([told, Trial(AT_REST), *turning, *kept])
     met, seen = views.scores(trials)
-    looked_around = {told, Trial(RESTING)}
+    looked_around = {told, Trial(AT_REST)}
     for _ in range(MOST_ROUNDS):
         best = trials[int(np.argmax(met.mean(axis=1)))]
         if best in looked_around:
