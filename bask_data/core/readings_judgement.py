@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from bask_data.core.geometry import view_change
-from bask_data.core.readings_evidence import NO_TRANSLATION, AT_REST, PairedViews, Trial
+from bask_data.core.readings_evidence import AT_REST, NO_TRANSLATION, PairedViews, Trial
 from bask_data.core.readings_hypotheses import Hypothesis, Readings, hypothesis_of
 from bask_data.core.readings_verdict import LEAST_JUDGED_PAIRS, POOR_EVIDENCE, Verdict
 from bask_data.findings import CODES, Finding

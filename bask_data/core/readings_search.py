@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from bask_data.core.readings_evidence import NO_TRANSLATION, AT_REST, PairedViews, Trial
+from bask_data.core.readings_evidence import AT_REST, NO_TRANSLATION, PairedViews, Trial
 
 ENCODINGS = (1.0, 1e-3, 1e-4, 1 / 5000, 1 / 4000, 1e-2, 1e-1, 1 / 256, 1 / 1024)
 """Metres per unit of depth files in use, the most common first: metres, millimetres, 0.1 mm, TUM's, scanners',

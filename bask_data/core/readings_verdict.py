@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.special import stdtrit
 
-from bask_data.core.readings_evidence import NO_TRANSLATION, AT_REST, PairedViews, Trial
+from bask_data.core.readings_evidence import AT_REST, NO_TRANSLATION, PairedViews, Trial
 from bask_data.core.readings_search import SAME_SCALE
 from bask_data.core.warped_depth import MIN_MEASURED
 
