@@ -98,6 +98,10 @@ CODES = {
     "stale": Code("note", "An artifact was made from other inputs than are there."),
     "unlisted-file": Code("warning", "A file or folder in the dataset belongs to no artifact."),
     "damaged": Code("error", "Files of an artifact are missing or have changed."),
+    # Refine.
+    "refined": Code("note", "Depth of frames meets better with corrected poses, which were written."),
+    "refine-no-better": Code("note", "No correction of the poses makes depth of frames meet clearly better."),
+    "refine-cannot-tell": Code("note", "Whether the poses could be corrected cannot be told from this recording."),
 }
 """All codes, by subject."""
 

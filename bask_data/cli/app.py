@@ -19,6 +19,7 @@ COMMANDS = (
         "Recordings",
         ("init", "datasets", "Create an empty dataset."),
         ("ingest", "ingest", "Read a recording into a dataset; one sub-command per format."),
+        ("refine", "refining", "Look for errors in a scan's poses, and write a scan without them beside it."),
         ("split", "datasets", "Assign scenes to training, validation and test."),
     ),
     *under(

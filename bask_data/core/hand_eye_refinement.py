@@ -16,15 +16,12 @@ from numpy import ndarray
 from bask_data.core.compiled import compiled
 from bask_data.core.depth import SIGMA_FROM_MAD
 from bask_data.core.geometry import invert_rigid
-from bask_data.core.pair_alignment import FINEST, TUKEY, as_vector, moved
+from bask_data.core.pair_alignment import FINEST, STEPS_PER_GATE, TUKEY, as_vector, moved
 from bask_data.core.surface_views import SurfaceView
 
-GATES = (0.08, 0.05, 0.03, 0.02, 0.012)
+HAND_EYE_GATES = (0.08, 0.05, 0.03, 0.02, 0.012)
 """Distances, metres, within which points that meet may belong together, coarse to fine: an error of 20 mm and 4 degrees
 moves points at 0.5 m by up to 55 mm. Sensitivity not measured."""
-
-STEPS_PER_GATE = 5
-"""Most steps of Gauss-Newton at each gate. Sensitivity not measured."""
 
 CONVERGED = 2e-5
 """Radians and metres: a smaller step is the last one at a gate."""
@@ -69,15 +66,15 @@ def hand_eye(
     Args:
         pairs: indices of views that overlap.
     """
-    E, sigma = np.eye(4), GATES[0] / 3
-    for gate in GATES:
+    E, sigma = np.eye(4), HAND_EYE_GATES[0] / 3
+    for gate in HAND_EYE_GATES:
         for _ in range(STEPS_PER_GATE):
             equations = _equations(views, world_from_cameras, pairs, E, gate, sigma)
             step = _solved(equations.H.sum(axis=0), equations.g.sum(axis=0), as_vector(E))
             E, sigma = moved(step) @ E, equations.sigma
             if np.abs(step).max() < CONVERGED:
                 break
-    equations = _equations(views, world_from_cameras, pairs, E, GATES[-1], sigma)
+    equations = _equations(views, world_from_cameras, pairs, E, HAND_EYE_GATES[-1], sigma)
     covariance = _covariance(equations, pairs, len(views))
     turn, shift = (np.sqrt(np.linalg.eigvalsh(covariance[part, part])[-1]) for part in (slice(3), slice(3, 6)))
     H = equations.H.sum(axis=0)

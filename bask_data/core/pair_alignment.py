@@ -12,7 +12,7 @@ from numpy import ndarray
 from bask_data.core.depth import SIGMA_FROM_MAD
 from bask_data.core.surface_views import SurfaceView, meetings
 
-GATES = (0.06, 0.03, 0.015, 0.01)
+PAIR_GATES = (0.06, 0.03, 0.015, 0.01)
 """Distances, metres, within which points that meet may belong together, coarse to fine. Sensitivity not measured."""
 
 STEPS_PER_GATE = 4
@@ -70,10 +70,10 @@ def aligned(a: SurfaceView, b: SurfaceView, b_from_a: Float[ndarray, "4 4"]) -> 
     Args:
         b_from_a: the first guess, within some 20 mm and 3 degrees.
     """
-    guess, change, sigma, n_met = b_from_a, np.eye(4), GATES[0] / 3, 0
+    guess, change, sigma, n_met = b_from_a, np.eye(4), PAIR_GATES[0] / 3, 0
     prior = np.diag(GUESS**-2)
     H = np.zeros((6, 6))
-    for gate in GATES:
+    for gate in PAIR_GATES:
         for _ in range(STEPS_PER_GATE):
             met = meetings(a, b, guess @ change)
             r, J = _rows(met.points_a, met.normals_a, met.points_b, guess @ change)

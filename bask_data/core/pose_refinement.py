@@ -6,7 +6,7 @@ a hand-eye calibration), poses that drift.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,15 +15,15 @@ from jaxtyping import Float, Float32
 from numpy import ndarray
 
 from bask_data.core.drift_refinement import interpolated, undrifted
-from bask_data.core.geometry import invert_rigid, rotation_angle, view_change
+from bask_data.core.geometry import invert_rigid, rotation_angle
 from bask_data.core.hand_eye_refinement import Correction, hand_eye
 from bask_data.core.pair_alignment import aligned, residual
-from bask_data.core.surface_views import SurfaceView, fixed_to_camera, meetings, surface_view
+from bask_data.core.surface_views import SurfaceView, angles_between, fixed_to_camera, meetings, surface_view
 
 Model = Literal["none", "hand-eye", "drift"]
 Verdict = Literal["refined", "no better", "cannot tell"]
 
-N_VIEWS = 60
+MOST_VIEWS = 60
 """Most frames that are compared; drift of frames between is interpolated. Chosen to bound time."""
 
 N_PAIRS, N_HELD_OUT = 120, 40
@@ -39,7 +39,7 @@ enough for the errors that are looked for. Sensitivity not measured."""
 LARGEST_TURN = np.radians(70.0)
 """Angle between views that see too little of the same surfaces. Sensitivity not measured."""
 
-LEAST_PAIRS = 8
+LEAST_HELD_OUT = 8
 """Held-out pairs below which nothing can be told: the standard error of fewer is a guess."""
 
 SURE_T, SURE_GAIN = 2.5, 0.05
@@ -101,7 +101,7 @@ def refined(
     Ks: Float[ndarray, "t 3 3"],
     world_from_cameras: Float[ndarray, "t 4 4"],
     model: Literal["auto", "hand-eye", "drift"] = "auto",
-    progress: Callable[[Sequence[int]], Sequence[int]] = lambda frames: frames,
+    progress: Callable[[Sequence[int]], Iterable[int]] = lambda frames: frames,
 ) -> Refinement:
     """The poses with the error that depth finds in them, if any, taken out.
 
@@ -110,12 +110,12 @@ def refined(
         progress: wraps the frames that are read.
     """
     given = world_from_cameras
-    index = np.unique(np.linspace(0, len(given) - 1, N_VIEWS).round().astype(int)).tolist()
+    index = np.unique(np.linspace(0, len(given) - 1, MOST_VIEWS).round().astype(int)).tolist()
     views = _views(read_depth, Ks, given, index, progress)
     chosen = given[index]
     fitted, held_out, n_pairs = _pairs(views, chosen)
-    if len(held_out) < LEAST_PAIRS:
-        why = f"{n_pairs} pairs of frames see the same surfaces, {4 * LEAST_PAIRS} are needed"
+    if len(held_out) < LEAST_HELD_OUT:
+        why = f"{n_pairs} pairs of frames see the same surfaces, {4 * LEAST_HELD_OUT} are needed"
         return Refinement("none", "cannot tell", given, None, None, None, None, why, n_pairs)
     before = _residual(views, chosen, held_out)
     tried: dict[Model, tuple[Float[ndarray, "k 4 4"], Residual]] = {}
@@ -144,15 +144,14 @@ def _judged(
     better = [name for name, each in after.items() if _beats(each, before)]
     if not better:
         return "none", "no better", "no correction makes held-out pairs of frames meet clearly better"
-    best: Model = better[0]
-    if len(better) == 2 and _beats(after["drift"], after["hand-eye"]):
-        best = "drift"
-    if best == "hand-eye":
+    if "hand-eye" in better:
         assert correction is not None
+        # Drift could explain such an error, too, and would leave the cameras where they should not be.
         if why := _undetermined(correction):
-            return best, "cannot tell", why
-        return best, "refined", "one rigid correction of all poses makes held-out pairs of frames meet"
-    return best, "refined", "corrections of each pose make held-out pairs of frames meet"
+            return "hand-eye", "cannot tell", why
+        if "drift" not in better or not _beats(after["drift"], after["hand-eye"]):
+            return "hand-eye", "refined", "one rigid correction of all poses makes held-out pairs of frames meet"
+    return "drift", "refined", "corrections of each pose make held-out pairs of frames meet"
 
 
 def _undetermined(correction: Correction) -> str:
@@ -170,7 +169,7 @@ def _beats(winner: Residual, other: Residual) -> bool:
     """Whether held-out residuals are smaller, by a paired t statistic."""
     known = np.isfinite(winner.distance) & np.isfinite(other.distance)
     gain = other.distance[known] - winner.distance[known]
-    if len(gain) < LEAST_PAIRS or gain.mean() <= SURE_GAIN * other.distance[known].mean():
+    if len(gain) < LEAST_HELD_OUT or gain.mean() <= SURE_GAIN * other.distance[known].mean():
         return False
     # Pairs that no longer meet at all would otherwise not count.
     if np.isfinite(winner.distance).sum() < 0.9 * np.isfinite(other.distance).sum():
@@ -183,7 +182,7 @@ def _views(
     Ks: Float[ndarray, "t 3 3"],
     world_from_cameras: Float[ndarray, "t 4 4"],
     index: Sequence[int],
-    progress: Callable[[Sequence[int]], Sequence[int]],
+    progress: Callable[[Sequence[int]], Iterable[int]],
 ) -> list[SurfaceView]:
     """The chosen frames as surfaces, without what is fixed to the camera."""
     depths, intrinsics = [], []
@@ -202,7 +201,7 @@ def _pairs(
     views: Sequence[SurfaceView], world_from_cameras: Float[ndarray, "t 4 4"]
 ) -> tuple[list[tuple[int, int]], list[tuple[int, int]], int]:
     """Overlapping pairs to fit on and to judge by, from small to large turns, and how many there are."""
-    _, angle = view_change(world_from_cameras[:, None], world_from_cameras[None])
+    angle = angles_between(world_from_cameras)
     overlapping = []
     for i in range(len(views)):
         for j in range(i + 1, len(views)):

@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float, Float32
 from numpy import ndarray
 
 from bask_data.core.compiled import compiled
-from bask_data.core.geometry import view_change
+from bask_data.core.geometry import rotation_angle
 
-N_POINTS = 1500
+SURFACE_POINTS = 800
 """Points of a view, spread evenly over what was measured. Sensitivity not measured."""
 
 WINDOW_SHARE = 1 / 64
@@ -57,7 +57,9 @@ class SurfaceView:
     normals: Float[ndarray, "n 3"]
 
 
-def surface_view(depth: Float32[ndarray, "h w"], K: Float[ndarray, "3 3"], n_points: int = N_POINTS) -> SurfaceView:
+def surface_view(
+    depth: Float32[ndarray, "h w"], K: Float[ndarray, "3 3"], n_points: int = SURFACE_POINTS
+) -> SurfaceView:
     """A view with points that lie on smooth surfaces, each smoothed by the plane fitted around it."""
     depth = np.ascontiguousarray(depth)
     v, u = np.nonzero(depth > 0)
@@ -72,6 +74,12 @@ def surface_view(depth: Float32[ndarray, "h w"], K: Float[ndarray, "3 3"], n_poi
     return SurfaceView(depth, K, points[kept], normals[kept])
 
 
+def angles_between(world_from_cameras: Float[ndarray, "t 4 4"]) -> Float[ndarray, "t t"]:
+    """Angle between each two cameras, radians."""
+    rotations = world_from_cameras[:, :3, :3]
+    return rotation_angle(np.einsum("aji,bjk->abik", rotations, rotations))
+
+
 def fixed_to_camera(
     depths: Sequence[Float32[ndarray, "h w"]], world_from_cameras: Float[ndarray, "t 4 4"]
 ) -> Bool[ndarray, "h w"]:
@@ -81,8 +89,7 @@ def fixed_to_camera(
         depths: of some frames, spread over the recording, metres.
     """
     none = np.zeros(depths[0].shape, bool)
-    _, angle = view_change(world_from_cameras[:, None], world_from_cameras[None])
-    if len(depths) < 5 or angle.max() < FIXED_TURN:
+    if len(depths) < 5 or angles_between(world_from_cameras).max() < FIXED_TURN:
         return none
     stack = np.stack(depths)
     measured = stack > 0
@@ -124,7 +131,8 @@ def _fitted(u, v, depth, K, radius, same, least, roughest, steepest):  # type: i
     points, normals, is_smooth = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n, np.bool_)
     for i in range(n):
         z0 = depth[v[i], u[i]]
-        A, y, n_in = np.zeros((3, 3)), np.zeros(3), 0
+        # Normal equations of 1 / z = a du + b dv + c.
+        uu, uv, vv, su, sv, yu, yv, ys, n_in = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
         for dv in range(-radius, radius + 1):
             for du in range(-radius, radius + 1):
                 x_, y_ = u[i] + du, v[i] + dv
@@ -135,21 +143,24 @@ def _fitted(u, v, depth, K, radius, same, least, roughest, steepest):  # type: i
                     continue
                 inverse = 1.0 / z
                 n_in += 1
-                A[0, 0] += du * du
-                A[0, 1] += du * dv
-                A[0, 2] += du
-                A[1, 1] += dv * dv
-                A[1, 2] += dv
-                A[2, 2] += 1
-                y[0] += du * inverse
-                y[1] += dv * inverse
-                y[2] += inverse
+                uu += du * du
+                uv += du * dv
+                vv += dv * dv
+                su += du
+                sv += dv
+                yu += du * inverse
+                yv += dv * inverse
+                ys += inverse
         if n_in < least:
             continue
-        A[1, 0], A[2, 0], A[2, 1] = A[0, 1], A[0, 2], A[1, 2]
-        if abs(np.linalg.det(A)) < 1e-6:
+        # Reduced by the means: two equations are left.
+        uu, uv, vv = uu - su * su / n_in, uv - su * sv / n_in, vv - sv * sv / n_in
+        yu, yv = yu - su * ys / n_in, yv - sv * ys / n_in
+        determinant = uu * vv - uv * uv
+        if determinant < 1e-6:
             continue
-        a, b, c = np.linalg.solve(A, y)
+        a, b = (vv * yu - uv * yv) / determinant, (uu * yv - uv * yu) / determinant
+        c = (ys - a * su - b * sv) / n_in
         if c <= 0:
             continue
         total = 0.0

@@ -12,12 +12,14 @@ from bask_data.kinds.masks import VisibleMasks
 from bask_data.kinds.objects import InstanceRow, ObjectInstances
 from bask_data.kinds.reconstruction import Reconstruction
 from bask_data.kinds.reference import Pick, Recognition, ReferenceKeypoints
+from bask_data.kinds.refinement import PoseRefinement, RefinedCamera, ResidualRow
 from bask_data.kinds.truth import Truth
 
 KINDS: tuple[type[Artifact], ...] = (
     Scan,
     Demonstration,
     Truth,
+    PoseRefinement,
     Reconstruction,
     ObjectInstances,
     VisibleMasks,
@@ -39,10 +41,13 @@ __all__ = [
     "ObjectInstances",
     "PairRow",
     "Pick",
+    "PoseRefinement",
     "Recognition",
     "Reconstruction",
     "Recording",
     "ReferenceKeypoints",
+    "RefinedCamera",
+    "ResidualRow",
     "Robot",
     "Scan",
     "Truth",

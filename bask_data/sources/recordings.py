@@ -52,7 +52,7 @@ def is_current(root: Path, makes: type[Recording], item: str, key: str, fix: str
     return not has_truth or (root / Truth.kind / item).exists()
 
 
-def up_to_date(root: Path, makes: type[Recording], item: str) -> Outcome:
+def up_to_date(root: Path, makes: type[Artifact], item: str) -> Outcome:
     """Outcome of a recording that is up to date."""
     target = root / makes.kind / item
     digest = read_manifest(target).digest
