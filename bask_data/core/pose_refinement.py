@@ -23,7 +23,7 @@ from bask_data.core.surface_views import SurfaceView, angles_between, fixed_to_c
 Model = Literal["none", "hand-eye", "drift"]
 Verdict = Literal["refined", "no better", "cannot tell"]
 
-MOST_VIEWS = 60
+MOST_COMPARED = 60
 """Most frames that are compared; drift of frames between is interpolated. Chosen to bound time."""
 
 N_PAIRS, N_HELD_OUT = 120, 40
@@ -110,7 +110,7 @@ def refined(
         progress: wraps the frames that are read.
     """
     given = world_from_cameras
-    index = np.unique(np.linspace(0, len(given) - 1, MOST_VIEWS).round().astype(int)).tolist()
+    index = np.unique(np.linspace(0, len(given) - 1, MOST_COMPARED).round().astype(int)).tolist()
     views = _views(read_depth, Ks, given, index, progress)
     chosen = given[index]
     fitted, held_out, n_pairs = _pairs(views, chosen)

@@ -141,16 +141,15 @@ def _fitted(u, v, depth, K, radius, same, least, roughest, steepest):  # type: i
                 z = depth[y_, x_]
                 if z <= 0 or abs(z - z0) > same * z0:
                     continue
-                inverse = 1.0 / z
                 n_in += 1
                 uu += du * du
                 uv += du * dv
                 vv += dv * dv
                 su += du
                 sv += dv
-                yu += du * inverse
-                yv += dv * inverse
-                ys += inverse
+                yu += du / z
+                yv += dv / z
+                ys += 1 / z
         if n_in < least:
             continue
         # Reduced by the means: two equations are left.
