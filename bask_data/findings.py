@@ -102,6 +102,17 @@ CODES = {
     "refined": Code("note", "Depth of frames meets better with corrected poses, which were written."),
     "refine-no-better": Code("note", "No correction of the poses makes depth of frames meet clearly better."),
     "refine-cannot-tell": Code("note", "Whether the poses could be corrected cannot be told from this recording."),
+    # Objects found on the support.
+    "no-object": Code("warning", "No object was found."),
+    "support-uncertain": Code("warning", "Which plane the objects stand on, or how far it reaches, is not certain."),
+    "objects-touch": Code("warning", "An object is hollow, or is several objects that touch."),
+    "object-one-side": Code("note", "Objects were seen from one side only; nothing is learned of their other sides."),
+    "object-cut": Code(
+        "warning", "Something is cut by the border of what was seen: it may belong to the robot or the room."
+    ),
+    "object-floating": Code("warning", "Something does not stand on the support: it may hang, or belong to the robot."),
+    "object-with-camera": Code("warning", "Something moves with the camera, as a gripper does, or moved by itself."),
+    "object-flat": Code("note", "Something is flat on the support: a thin object, or the support's own unevenness."),
 }
 """All codes, by subject."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,7 +14,9 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from bask_data.core.background import Background, BackgroundSettings, MeshVertices, find_background
 from bask_data.core.clusters import dbscan
 from bask_data.core.hidden_parts import PartsSettings, with_joined_parts
+from bask_data.core.object_doubts import Doubt, SeenScene, doubts_of, seen_share
 from bask_data.core.planes import height
+from bask_data.core.sightings import fitting
 
 MAX_INSTANCES = 255
 """Label images are bytes, and 0 is the background."""
@@ -41,6 +43,8 @@ LEVEL_PATCH = np.cos(np.deg2rad(45.0))
 """Cosine of the angle to the support up to which surface may be the support's own. Chosen, sensitivity not measured."""
 OFF_SHARE = 0.1
 """Share of a patch that may be higher or steeper than the support's noise. Chosen, sensitivity not measured."""
+SEEN_REACH = 0.01
+"""Metres beside a line of sight within which surface is met. Chosen, sensitivity not measured."""
 FLOATING = 0.03
 """Metres between the support and the lowest object beyond which the support is doubted. Assumes a tabletop. Chosen,
 sensitivity not measured."""
@@ -55,6 +59,8 @@ class Instance:
         centroid: centre of the surface, metres, world.
         extents: edges of its box along the world's axes, metres.
         concave_share: share of its surface that is more than `HOLLOW` inside its convex hull.
+        seen: share of its closed surface, without the underside, that was seen.
+        doubts: why it may not be an object on the support.
     """
 
     id: int
@@ -63,6 +69,8 @@ class Instance:
     centroid: tuple[float, float, float]
     extents: tuple[float, float, float]
     concave_share: float
+    seen: float
+    doubts: tuple[Doubt, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -133,11 +141,13 @@ class SplitSettings(BackgroundSettings):
         eps: greatest gap within one object, metres. Its sensitivity is in docs/benchmarks.md.
         core_area: square metres within `eps` that make a core; by default a fifth of a disc of that radius.
         min_area: least surface of an object, square metres.
+        bounds: lowest and highest corner of the workspace, metres, world; None if unknown.
     """
 
     eps: float = 0.02
     core_area: float | None = None
     min_area: float = 0.001
+    bounds: Float[ndarray, "2 3"] | None = None
 
 
 def split_objects(
@@ -158,6 +168,7 @@ def split_objects(
     eps, min_area = settings.eps, settings.min_area
     if settings.voxel_size <= 0 or eps <= 0:
         raise ValueError(f"voxel_size and eps must be > 0 metres, got {settings.voxel_size} and {eps}")
+    settings = replace(settings, views=fitting(settings.views, vertices))
     normals, areas = vertex_normals_and_areas(vertices, triangles)
     scene = find_background(MeshVertices(vertices, normals, areas), rng, settings)
     core = CORE_SHARE * np.pi * eps**2 if settings.core_area is None else settings.core_area
@@ -186,7 +197,15 @@ def split_objects(
     labels, n_instances = numbered(labels, vertices, areas)
     return Split(
         labels,
-        tuple(describe(labels, n_instances, vertices, areas)),
+        tuple(
+            describe(
+                labels,
+                n_instances,
+                MeshVertices(vertices, normals, areas),
+                SeenScene(scene, settings.voxel_size, settings.views, settings.bounds),
+                rng,
+            )
+        ),
         scene,
         neighbours(labels, n_instances, vertices, 2 * eps),
         *dropped,
@@ -301,16 +320,27 @@ def numbered(
 
 
 def describe(
-    labels: Int[ndarray, "n"], n_instances: int, vertices: Float[ndarray, "n 3"], areas: Float[ndarray, "n"]
+    labels: Int[ndarray, "n"], n_instances: int, surface: MeshVertices, scene: SeenScene, rng: np.random.Generator
 ) -> list[Instance]:
     """The description of each instance, in order."""
+    plane = scene.background.support.plane if scene.background.support else None
     rows = []
     for instance in range(1, n_instances + 1):
-        mine = labels == instance
-        x, y, z = np.average(vertices[mine], axis=0, weights=areas[mine]).tolist()
-        dx, dy, dz = np.ptp(vertices[mine], axis=0).tolist()
-        concave = concave_share(vertices[mine].astype(np.float64), areas[mine])
-        rows.append(Instance(instance, int(mine.sum()), float(areas[mine].sum()), (x, y, z), (dx, dy, dz), concave))
+        own = surface[labels == instance]
+        x, y, z = np.average(own.points, axis=0, weights=own.areas).tolist()
+        dx, dy, dz = np.ptp(own.points, axis=0).tolist()
+        rows.append(
+            Instance(
+                instance,
+                len(own.points),
+                float(own.areas.sum()),
+                (x, y, z),
+                (dx, dy, dz),
+                concave_share(own.points.astype(np.float64), own.areas),
+                seen_share(own.points, own.normals, plane, max(SEEN_REACH, 2 * scene.voxel_size), rng),
+                doubts_of(own.points, own.normals, scene),
+            )
+        )
     return rows
 
 

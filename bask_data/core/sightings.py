@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 from numpy import ndarray
 
 from bask_data.core.depth import DEPTH_SLACK
 from bask_data.core.geometry import in_image, invert_rigid, project, transform
+
+N_FIT = 2000
+"""Points of a surface by which a view is compared with it. Chosen to bound time, sensitivity not measured."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,22 @@ class PosedDepth:
     def eye(self) -> Float[ndarray, "3"]:
         """The camera's centre, world."""
         return self.world_from_camera[:3, 3]
+
+    def contradicted(
+        self, points_world: Float[ndarray, "n 3"], slack: tuple[float, float] = DEPTH_SLACK
+    ) -> tuple[int, int]:
+        """Numbers of points of a surface that the frame measured, and that it sees through."""
+        uv, z = project(transform(invert_rigid(self.world_from_camera), points_world), self.K)
+        inside = in_image(uv, *self.depth.shape) & (z > 0)
+        u, v = np.rint(uv[inside]).astype(int).T
+        # Beside the outline of an object, the nearest pixel may miss it: the nearest of nine counts.
+        around = np.ones((3, 3), np.uint8)
+        nearest = cv2.erode(np.where(self.depth > 0, self.depth, np.float32(np.inf)), around)[v, u]
+        farthest = cv2.dilate(self.depth, around)[v, u]
+        z = z[inside]
+        tolerance = slack[0] + slack[1] * z
+        on = (nearest <= z + tolerance) & (farthest >= z - tolerance)
+        return int(on.sum()), int((np.isfinite(nearest) & (nearest > z + tolerance)).sum())
 
 
 @dataclass(frozen=True)
@@ -66,3 +86,12 @@ def sighted(
         passed[inside] |= measured > z + tolerance
         framed |= inside
     return PointSightings(before & ~passed, passed, framed)
+
+
+def fitting(
+    views: Sequence[PosedDepth], surface_world: Float[ndarray, "n 3"], n_points: int = N_FIT
+) -> tuple[PosedDepth, ...]:
+    """The views that measured the surface more often than they see through it; others tell nothing of it."""
+    sample = surface_world[:: max(1, len(surface_world) // n_points)].astype(np.float64)
+    counts = [view.contradicted(sample) for view in views]
+    return tuple(view for view, (n_on, n_through) in zip(views, counts, strict=True) if n_on > n_through)

@@ -8,11 +8,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from bask_data.artifact import Artifact, Metadata
+from bask_data.findings import Finding
 from bask_data.kinds.arrays import read_all, start, write_array
 from bask_data.specs import ArraySpec
 
 if TYPE_CHECKING:
     import numpy as np
+
+
+Flag = Literal["cut", "floating", "with-camera", "flat"]
+"""Why something found may not be an object of its own on the support: cut by the border of what was seen; nothing
+below it down to the support; there in few frames only, as what moves with the camera is; flat on the support."""
+
+FLAG_TEXTS: dict[Flag, str] = {
+    "cut": "cut by the border of what was seen",
+    "floating": "not standing on the support",
+    "with-camera": "fixed to the camera, or moved: most frames see through it",
+    "flat": "flat on the support",
+}
+"""Each flag in words."""
+
+ONE_SIDE = 0.75
+"""Share of an object's closed surface below which it was seen from one side only. A box seen from one viewpoint shows
+two or three of its five faces, and the hull of what was seen closes it behind. Chosen, sensitivity not measured."""
 
 
 class InstanceRow(Metadata):
@@ -24,6 +42,9 @@ class InstanceRow(Metadata):
         extents: size of the axis-aligned box in the world frame, metres.
         concave_share: share of its surface that is more than 1 cm inside its convex hull: close to 0 for a box or a
             can; 0.25 or more for a hollow object, or several objects that touch.
+        seen: share of its closed surface, without the underside, that was seen: about 0.5 from one side, 1 all around;
+            None in artifacts made before this was measured.
+        flags: why it may not be an object on the support; flagged ones are not trained on unless asked for.
     """
 
     id: int
@@ -33,6 +54,13 @@ class InstanceRow(Metadata):
     centroid: tuple[float, float, float]
     extents: tuple[float, float, float]
     concave_share: float = 0.0
+    seen: float | None = None
+    flags: list[Flag] = []
+
+    @property
+    def reasons(self) -> str:
+        """The flags in words, separated by semicolons."""
+        return "; ".join(FLAG_TEXTS[flag] for flag in self.flags)
 
 
 class PlaneRow(Metadata):
@@ -61,6 +89,26 @@ class NeighbourRow(Metadata):
     a: int
     b: int
     gap_m: float
+
+
+HOLLOW_SHARE = 0.25
+"""Share of the surface inside the hull from which an object is hollow, or several: as `core.objects.CONCAVE_SHARE`."""
+
+FLAG_CODES: dict[Flag, str] = {
+    "cut": "object-cut",
+    "floating": "object-floating",
+    "with-camera": "object-with-camera",
+    "flat": "object-flat",
+}
+"""The code of the finding for each flag."""
+
+FLAG_FIXES: dict[Flag, str] = {
+    "cut": "a larger --workspace of `reconstruct` if it is an object, a smaller one if it is a part of the robot.",
+    "floating": "--workspace of `reconstruct` without it; or --plane of `objects`, if it stands on another plane.",
+    "with-camera": "--near of `reconstruct` beyond what is mounted on the camera.",
+    "flat": "train on it with --flagged of `correspondences`, if it is a thin object.",
+}
+"""What to do about each flag."""
 
 
 class ObjectsMetadata(Metadata):
@@ -105,6 +153,44 @@ class ObjectInstances(Artifact):
     def instances(self) -> list[InstanceRow]:
         """The objects, in the order of their ids."""
         return self.metadata.instances
+
+    def findings(self) -> list[Finding]:
+        """What is doubtful about the objects."""
+        place = self.path.name
+        warnings = self.metadata.warnings
+        found = [
+            Finding(FLAG_CODES[flag], f"{place} object {row.id}", FLAG_TEXTS[flag], FLAG_FIXES[flag])
+            for row in self.instances
+            for flag in row.flags
+        ]
+        one_sided = [row for row in self.instances if row.seen is not None and row.seen < ONE_SIDE and not row.flags]
+        if one_sided:
+            which = ", ".join(f"{row.id} ({row.seen:.0%})" for row in one_sided)
+            found.append(
+                Finding(
+                    "object-one-side",
+                    place,
+                    f"share of the surface seen of object {which}; all around it is more than {ONE_SIDE:.0%}",
+                    "record views from more sides, if descriptors of the other sides matter.",
+                )
+            )
+        if not self.instances:
+            found.append(Finding("no-object", place, " ".join(warnings), "look at the mesh: bask-data view"))
+        # The warning of flagged objects quotes their reasons, one of which has the word, too.
+        if uncertain := [text for text in warnings if "support" in text and not text.startswith("flagged")]:
+            found.append(Finding("support-uncertain", place, "; ".join(uncertain), "--plane, --up or --margin"))
+        if hollow := [row for row in self.instances if row.concave_share >= HOLLOW_SHARE]:
+            which = ", ".join(f"{row.id} ({row.concave_share:.0%})" for row in hollow)
+            found.append(
+                Finding(
+                    "objects-touch",
+                    place,
+                    f"share of the surface inside the hull: object {which}; below {HOLLOW_SHARE:.0%} for one that is "
+                    "not hollow",
+                    "move the objects apart and record again, or a smaller --eps.",
+                )
+            )
+        return found
 
     @staticmethod
     def write(

@@ -76,6 +76,11 @@ class CorrespondencesParams(Params):
         True,
         description="Take depth from the reconstruction, checked against measured depth; else measured depth alone.",
     )
+    flagged: bool = Field(
+        False,
+        description="Match flagged objects, too: cut by the border of what was seen, not standing on the support, "
+        "fixed to the camera, or flat on the support.",
+    )
     seed: int = Field(0, ge=0, description="Seed of the random choices.")
 
 
@@ -104,9 +109,13 @@ def correspondences(
     rng = np.random.default_rng(params.seed)
     has_surface = len(reconstruction.triangles) > 0
     surface = Surface(reconstruction.vertices, reconstruction.triangles) if has_surface else None
-    chosen = _choose(scan, reconstruction, objects, masks, surface, params, rng)
+    wanted = _wanted(objects, params)
+    labels = objects.vertex_instance * wanted[objects.vertex_instance]
+    chosen = _choose(scan, reconstruction, labels, masks, surface, params, rng)
     depth_from, tolerance = surface if params.use_surface else None, _tolerance(masks, params)
-    ready = lru_cache(n_kept(scan))(lambda i_camera, i: _view(*cameras[i_camera], i, depth_from, tolerance, params))
+    ready = lru_cache(n_kept(scan))(
+        lambda i_camera, i: _view(*cameras[i_camera], i, wanted, depth_from, tolerance, params)
+    )
     tally = Tally()
     with Correspondences.writer(out) as writer:
         rows = zip(chosen.frames.tolist(), chosen.distance.tolist(), chosen.angle.tolist(), strict=True)
@@ -140,7 +149,7 @@ def correspondences(
             }
             writer.append(row, columns, rejections)
             tally.add(found, params.n_matches)
-        writer.warnings += [*_too_few_pairs(chosen, masks, params), *tally.warnings(masks.n_instances)]
+        writer.warnings += _too_few_pairs(chosen, masks, int(wanted.sum()), params) + tally.warnings(wanted)
 
 
 @dataclass
@@ -165,14 +174,14 @@ class Tally:
             for why, n in zip(REJECTIONS, counts, strict=True):
                 self.rejected[instance, why] += n
 
-    def warnings(self, n_instances: int) -> list[str]:
-        """Warnings of pairs without matches, and of objects with few or none."""
+    def warnings(self, wanted: np.ndarray) -> list[str]:
+        """Warnings of pairs without matches, and of wanted objects (k + 1,) with few or none."""
         if not self.n_pairs:
             return []
         said = []
         if self.n_empty:
             said.append(f"{self.n_empty} of {self.n_pairs} pairs of frames have no match")
-        for instance in range(1, n_instances + 1):
+        for instance in wanted.nonzero()[0].tolist():
             if not self.asked[instance]:
                 said.append(
                     f"object {instance} has no match: no pair of frames shows it twice, clear of its mask's edges"
@@ -207,10 +216,18 @@ def _check(scan: Scan, masks: VisibleMasks) -> None:
             )
 
 
+def _wanted(objects: ObjectInstances, params: CorrespondencesParams) -> np.ndarray:
+    """(k + 1,) uint8: 1 for the instances to match, 0 for the background and those flagged."""
+    import numpy as np
+
+    wanted = np.array([False, *(params.flagged or not row.flags for row in objects.instances)])
+    return wanted.astype(np.uint8)
+
+
 def _choose(
     scan: Scan,
     reconstruction: Reconstruction,
-    objects: ObjectInstances,
+    vertex_instance: np.ndarray,
     masks: VisibleMasks,
     surface: Surface | None,
     params: CorrespondencesParams,
@@ -224,12 +241,12 @@ def _choose(
     from bask_data.core.objects import vertex_normals_and_areas
 
     normals, areas = vertex_normals_and_areas(reconstruction.vertices, reconstruction.triangles)
-    weight = np.where(objects.vertex_instance > 0, areas, 0.0)
+    weight = np.where(vertex_instance > 0, areas, 0.0)
     drawn = np.zeros(0, np.int64)
     if weight.sum() > 0:
         drawn = rng.choice(len(weight), size=N_SURFACE_POINTS, p=weight / weight.sum())
     points, normals = reconstruction.vertices[drawn].astype(np.float64), normals[drawn]
-    instance = objects.vertex_instance[drawn]
+    instance = vertex_instance[drawn]
     is_seen = []
     for camera in scan.cameras:
         shown = seen(points, normals, camera.Ks, camera.world_from_cameras, camera.height, camera.width)
@@ -269,6 +286,7 @@ def _view(
     camera: Camera,
     masks: CameraMasks,
     i_frame: int,
+    wanted: np.ndarray,
     surface: Surface | None,
     tolerance: tuple[float, float],
     params: CorrespondencesParams,
@@ -281,9 +299,10 @@ def _view(
     # wrong. Nor does the surface fill them: where a measurement was removed, either of the two may be wrong.
     flying = depth.flying(measured)
     measured[flying] = 0
+    instance = masks.instance(i_frame)
     return matchable_view(
         measured,
-        masks.instance(i_frame),
+        instance * wanted[instance],
         camera.Ks[i_frame],
         camera.world_from_cameras[i_frame],
         surface,
@@ -293,9 +312,11 @@ def _view(
     )
 
 
-def _too_few_pairs(chosen: FramePairs, masks: VisibleMasks, params: CorrespondencesParams) -> list[str]:
+def _too_few_pairs(chosen: FramePairs, masks: VisibleMasks, n_wanted: int, params: CorrespondencesParams) -> list[str]:
     if masks.n_instances == 0:
         return ["no match: the scene has no object.  fix: look at what `bask-data objects` found."]
+    if n_wanted == 0:
+        return ["no match: all objects are flagged.  fix: look at them with `bask-data view`, then pass --flagged."]
     if len(chosen.frames) >= params.n_pairs:
         return []
     return [

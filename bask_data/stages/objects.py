@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 from bask_data.engine import Params, stage
 from bask_data.errors import UsageError
 from bask_data.kinds import InstanceRow, ObjectInstances, Reconstruction, Scan
-from bask_data.kinds.objects import NeighbourRow, PlaneRow
+from bask_data.kinds.objects import FLAG_TEXTS, NeighbourRow, PlaneRow
 from bask_data.stages.mesh_quality import spread_evenly
 
 if TYPE_CHECKING:
@@ -89,6 +89,7 @@ def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, o
     for name in ("plane", "above"):
         if params.support == "none" and getattr(params, name) is not None:
             raise UsageError("objects", name, expected=f"no {name} with --support none", got=f"{getattr(params, name)}")
+    estimated = reconstruction.metadata.quality.workspace == "estimated"
     settings = SplitSettings(
         voxel_size=reconstruction.voxel_size,
         support=params.support,
@@ -103,6 +104,8 @@ def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, o
         min_area=params.min_area,
         max_extent=params.max_extent,
         views=_views(scan),
+        # A given box ends where its author wants it to, often at the very side of an object.
+        bounds=np.reshape(reconstruction.metadata.bounds, (2, 3)) if estimated else None,
     )
     rng = np.random.default_rng(params.seed)
     split = split_objects(reconstruction.vertices, reconstruction.triangles, rng, settings)
@@ -123,6 +126,8 @@ def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, o
                 centroid=one.centroid,
                 extents=one.extents,
                 concave_share=one.concave_share,
+                seen=round(one.seen, 3),
+                flags=list(one.doubts),
             )
             for one, name in zip(split.instances, names, strict=False)
         ],
@@ -191,6 +196,9 @@ def _warnings(split: Split, params: ObjectsParams) -> list[str]:
     if hollow := [one for one in split.instances if one.concave_share >= CONCAVE_SHARE]:
         which = ", ".join(f"{one.id} ({one.concave_share:.0%} of it lies inside its hull)" for one in hollow)
         warnings.append(f"hollow, or several objects that touch: {which}")
+    if flagged := [one for one in split.instances if one.doubts]:
+        which = ", ".join(f"{one.id} ({', '.join(FLAG_TEXTS[doubt] for doubt in one.doubts)})" for one in flagged)
+        warnings.append(f"flagged, and not trained on by default: {which}")
     if split.neighbours:
         pairs = ", ".join(f"{one.a} and {one.b} ({100 * one.gap:.1f} cm)" for one in split.neighbours)
         warnings.append(f"objects that nearly touch: {pairs}")

@@ -11,13 +11,18 @@ from bask_data.dataset import Dataset
 from bask_data.drawing.colours import instance_colours
 from bask_data.drawing.mesh import up_direction
 from bask_data.evaluation.lookup import find, spread_frames
-from bask_data.kinds import ObjectInstances, Reconstruction, Recording
+from bask_data.kinds import InstanceRow, ObjectInstances, Reconstruction, Recording
 from bask_data.view.sheet import DrawnItem, Eye, Sheet, expect, label_colour, name_labels, reading
 
 N_EYE_POINTS = 20_000
 """Vertices that locate the scene, at most: more do not change its 2nd and 98th percentiles."""
 FAR_ENOUGH = 1.9
 """Distance, in radii of a ball, at which a field of view of 55 degrees shows nearly all of it."""
+
+WORKSPACE_COLOUR = (150, 150, 160)
+"""RGB of the workspace box: grey, so that it is told from the objects' boxes. Chosen."""
+AXIS_SHARE = 0.2
+"""Length of the world's axes over the shortest edge of the workspace. Chosen."""
 
 
 def draw_scene(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str) -> np.ndarray:
@@ -31,6 +36,7 @@ def draw_scene(sheet: Sheet, drawn: DrawnItem, dataset: Dataset, name: str) -> n
             expect(mesh.path, "triangles", mesh.triangles, (None, 3), "iu")
             if len(mesh.triangles):
                 sheet.fix(("world", "surface"), _mesh(mesh, mesh.colors))
+        _draw_workspace(sheet, mesh)
     drawn.note(bool(len(vertices)), "surface", "the mesh is empty" if mesh else "bask-data reconstruct")
     if objects is None:
         drawn.shown.missing.append("instances (bask-data objects)")
@@ -60,6 +66,41 @@ def _mesh(mesh: Reconstruction, colours: np.ndarray, normals: np.ndarray | None 
     )
 
 
+def _draw_workspace(sheet: Sheet, mesh: Reconstruction) -> None:
+    """Draw the workspace box with its lowest and highest corner in numbers, to copy for `--workspace`, and the world's
+    axes there."""
+    import rerun as rr
+
+    low, high = np.reshape(mesh.metadata.bounds, (2, 3))
+    sheet.fix(
+        ("world", "workspace"),
+        rr.Boxes3D(
+            mins=[low], sizes=[high - low], colors=[WORKSPACE_COLOUR], radii=rr.Radius.ui_points(0.7), show_labels=False
+        ),
+    )
+    corners = [",".join(f"{x:.2f}" for x in corner) for corner in (low, high)]
+    sheet.fix(
+        ("world", "workspace", "corners"),
+        rr.Points3D(
+            [low, high],
+            labels=[f"lowest {corners[0]}", f"highest {corners[1]}"],
+            colors=[WORKSPACE_COLOUR],
+            radii=rr.Radius.ui_points(3.0),
+            show_labels=True,
+        ),
+    )
+    length = AXIS_SHARE * float((high - low).min())
+    sheet.fix(
+        ("world", "workspace", "axes"),
+        rr.Arrows3D(
+            origins=np.tile(low, (3, 1)),
+            vectors=length * np.eye(3),
+            labels=["x", "y", "z"],
+            colors=[(220, 60, 60), (60, 170, 60), (70, 110, 230)],
+        ),
+    )
+
+
 def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Unit normals (n, 3) float32, with triangles weighted by their area."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
@@ -84,12 +125,17 @@ def _draw_boxes(sheet: Sheet, objects: ObjectInstances, vertices: np.ndarray) ->
         rr.Boxes3D(
             mins=[low for _, low, _ in boxes],
             sizes=[high - low for _, low, high in boxes],
-            labels=[row.name or f"object {row.id}" for row, _, _ in boxes],
+            labels=[_label(row) for row, _, _ in boxes],
             colors=[label_colour(row.id) for row, _, _ in boxes],
             radii=rr.Radius.ui_points(1.0),
             fill_mode="MajorWireframe",
         ),
     )
+
+
+def _label(row: InstanceRow) -> str:
+    """Name of an object, with why it is doubted."""
+    return (row.name or f"object {row.id}") + (f" ({row.reasons})" if row.flags else "")
 
 
 def support_plane(dataset: Dataset, name: str) -> np.ndarray | None:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bask_data.core.sightings import PosedDepth, sighted
+from bask_data.core.sightings import PosedDepth, fitting, sighted
 from tests.scenes import intrinsics, look_at
 
 
@@ -27,3 +27,14 @@ def test_what_another_view_sees_through_is_not_hidden():
     assert sighted(point, [wall]).hidden.all()
     assert not sighted(point, [wall, far]).hidden.any()
     assert sighted(point, [wall, far]).passed.all()
+
+
+def test_a_view_that_sees_through_the_surface_does_not_fit_it():
+    K = intrinsics(20, 40)
+    near = PosedDepth(np.full((20, 40), 1.0, np.float32), K, np.eye(4))
+    through = PosedDepth(np.full((20, 40), 2.0, np.float32), K, np.eye(4))
+    blind = PosedDepth(np.zeros((20, 40), np.float32), K, np.eye(4))
+    surface = np.random.default_rng(0).uniform(-0.2, 0.2, (50, 3)) * [1, 1, 0] + [0, 0, 1.0]
+    assert fitting([near, through, blind], surface) == (near,)
+    assert near.contradicted(surface) == (50, 0)
+    assert through.contradicted(surface) == (0, 50)

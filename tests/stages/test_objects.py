@@ -13,20 +13,22 @@ from bask_data.stages.objects import ObjectsParams, objects
 from tests import scenes
 from tests.datasets import publish_mesh, publish_recording
 from tests.meshes import THREE, block, joined, sheet, table
+from tests.single_view import box
 
 GOLDEN = Path(__file__).parent / "golden"
 
 
-def dataset_of(root, vertices, triangles):
+def dataset_of(root, vertices, triangles, scene=None):
     dataset = Dataset.create(root)
-    cameras = scenes.orbit(3)
-    blank = np.zeros((12, 16, 3), np.uint8)
+    cameras, K = scenes.orbit(3), scenes.intrinsics(48, 64)
+    blank = np.zeros((48, 64, 3), np.uint8)
+    depth = [scene.render(K, camera, 48, 64).depth if scene else np.full((48, 64), 0.7) for camera in cameras]
     publish_recording(
         dataset,
         "a",
         rgb=[blank] * 3,
-        depth=[np.full((12, 16), 0.7)] * 3,
-        K=scenes.intrinsics(12, 16),
+        depth=depth,
+        K=K,
         world_from_cameras=cameras,
     )
     publish_mesh(dataset, "a", vertices, triangles)
@@ -159,3 +161,21 @@ if __name__ == "__main__":  # Run as a module when the version was raised: pytho
             vertex_instance=fresh.vertex_instance,
             support_plane=fresh.support_plane,
         )
+
+
+def test_flags_are_written_told_and_found(tmp_path):
+    raised = block(0.0, 0.05, (0.05, 0.05, 0.05), 0.004, bottom=0.1)
+    vertices, triangles, _ = joined([table(THREE[:1])[:2], raised])
+    scene = scenes.Scene((box(-0.15, -0.07, (0.10, 0.06, 0.08)), box(0.025, 0.075, (0.05, 0.05, 0.05), bottom=0.1)))
+    result = made(dataset_of(tmp_path / "d", vertices, triangles, scene))
+    assert [row.flags for row in result.instances] == [[], ["floating"]]
+    assert result.instances[1].reasons == "not standing on the support"
+    assert "flagged, and not trained on by default: 2 (not standing on the support)" in result.metadata.warnings
+    assert [(finding.code, finding.place) for finding in result.findings()] == [("object-floating", "a object 2")]
+    assert result.instances[0].seen > 0.9
+
+
+def test_a_scene_without_objects_is_a_finding(tmp_path):
+    [finding] = made(dataset_of(tmp_path / "d", *table([])[:2])).findings()
+    assert finding.code == "no-object"
+    assert finding.severity == "warning"

@@ -44,7 +44,17 @@ from tests.report.filled import HEIGHT, WIDTH, filled_dataset, publish_network
 from tests.view.recordings import Recording, colours, publish_demonstration
 
 SCENE = {
-    *("world", "world/surface", "world/instances", "world/boxes", "world/camera_paths/wrist", "world/cameras/wrist"),
+    *(
+        "world",
+        "world/surface",
+        "world/instances",
+        "world/boxes",
+        "world/workspace",
+        "world/workspace/axes",
+        "world/workspace/corners",
+        "world/camera_paths/wrist",
+        "world/cameras/wrist",
+    ),
     *(f"world/cameras/wrist/{layer}" for layer in ("rgb", "depth", "masks", "inferred", "truth")),
     *("world/matches", "matches/images", "matches/lines", "matches/points"),
 }
