@@ -113,6 +113,37 @@ CODES = {
     "object-floating": Code("warning", "Something does not stand on the support: it may hang, or belong to the robot."),
     "object-with-camera": Code("warning", "Something moves with the camera, as a gripper does, or moved by itself."),
     "object-flat": Code("note", "Something is flat on the support: a thin object, or the support's own unevenness."),
+    # What the stages made, judged by its figures; evaluation/usual.py has the ranges.
+    "unreadable": Code("error", "The artifact is damaged."),
+    "surface-unexplained": Code("error", "Most of the measured depth is not on the surface: the recording is wrong."),
+    "surface-doubtful": Code("warning", "Less of the measured depth is on the surface than usual."),
+    "frames-disagree": Code("warning", "Many frames do not fit the surface that the others make."),
+    "frame-disagrees": Code("note", "Some frames do not fit the surface that the others make."),
+    "unmeasured": Code(
+        "warning", "Cameras saw something without measuring its depth; masks are missing or wrong there."
+    ),
+    "stage-warning": Code("warning", "The stage noted something when it ran."),
+    "no-objects": Code("error", "No object was found, so there are no masks and no matches."),
+    "objects-doubtful": Code("warning", "Objects may be merged, missing, or parts of the background."),
+    "objects-merged": Code("warning", "Objects with labels of their own were found as one."),
+    "masks-empty": Code("error", "No mask shows anything."),
+    "masks-unconfirmed": Code("warning", "Less of the masks is confirmed by depth than usual."),
+    "masks-contradicted": Code("warning", "Depth contradicts the surface at many pixels of the objects."),
+    "masks-off": Code("warning", "Masks overlap less with the labels than usual."),
+    "masks-wrong": Code("error", "Masks hardly overlap with the labels."),
+    "no-matches": Code("error", "There is nothing to train on."),
+    "few-matches": Code("warning", "Objects, pairs or pixels have fewer matches than usual."),
+    "network-weak": Code("warning", "The network recognises fewer points than usual."),
+    "network-poor": Code("error", "The network does not recognise points in other views."),
+    "keypoints-weak": Code("warning", "The keypoints are found less exactly than usual."),
+    "keypoints-poor": Code("error", "The network does not recognise the keypoints in other views."),
+    "keypoints-ambiguous": Code("warning", "Several places look like a keypoint, so that its track may jump."),
+    "track-gaps": Code("warning", "Keypoints have no position in more frames than usual."),
+    "track-lost": Code("error", "Keypoints have no position in most frames."),
+    "track-off": Code("warning", "Tracked keypoints are farther from ground truth than usual."),
+    "track-wrong": Code("error", "Tracked keypoints are far from ground truth."),
+    "track-uncertain": Code("warning", "The filter is less certain of the keypoints than usual."),
+    "track-jumps": Code("warning", "Keypoints jump from frame to frame."),
 }
 """All codes, by subject."""
 

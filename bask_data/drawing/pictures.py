@@ -15,6 +15,10 @@ from bask_data.drawing.strokes import SUBPIXEL_BITS, cross, dot, ellipse, fixed_
 
 RING_PX = 7.0
 """Radius of the ring around a best match, pixels."""
+HEAT_GAMMA = 0.5
+"""Exponent of heat maps: a tenth of the maximum is drawn at a third of the scale. Sensitivity not measured."""
+GREY_SHARE = 0.8
+"""Brightness of the image under a heat map."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ def marks_picture(rgb: np.ndarray, marks: Sequence[Mark], width: int) -> np.ndar
 def heat_picture(
     rgb: np.ndarray, heat: np.ndarray, marks: Sequence[Mark], width: int, *, truth_seen: bool = True
 ) -> np.ndarray:
-    """A heat map (any resolution, scaled to its maximum) overlaid on the dimmed image.
+    """A heat map (any resolution, scaled to its maximum, faint parts brightened) over the image in grey.
 
     Args:
         marks: best matches as rings, ground truth as crosses joined to them.
@@ -76,11 +80,12 @@ def heat_picture(
     picture = resize(rgb, width).astype(np.float32)
     size = (picture.shape[1], picture.shape[0])
     level = np.clip(cv2.resize((heat / max(float(heat.max()), 1e-12)).astype(np.float32), size), 0, 1)
+    level = level**HEAT_GAMMA
     glow = cv2.applyColorMap((level * 255).astype(np.uint8), cv2.COLORMAP_INFERNO)
     glow = cv2.cvtColor(glow, cv2.COLOR_BGR2RGB).astype(np.float32)
     grey = picture.mean(axis=2, keepdims=True)
-    weight = level[..., None] ** 0.7
-    blended = (1 - weight) * (0.55 * (0.5 * picture + 0.5 * grey)) + weight * glow
+    weight = level[..., None]
+    blended = (1 - weight) * (GREY_SHARE * grey) + weight * glow
     drawn = np.clip(blended, 0, 255).astype(np.uint8)
     for mark in marks:
         point = scale_pixels(mark.pixel.astype(np.float64), rgb.shape[:2], drawn.shape[:2])

@@ -47,6 +47,7 @@ def _camera_figures(camera: Camera) -> dict[str, Any]:
         "depth_share": float(np.mean(measured)) if measured else math.nan,
         "depth_m": distribution(all_depths),
         "depth_range_m": [float(x) for x in np.percentile(all_depths, [2, 98])] if len(all_depths) else [0.0, 1.0],
+        "is_still": not steps.any(),
     }
 
 

@@ -49,5 +49,9 @@ def write_report(dataset: Dataset, out: Path, measured: Measured | None = None) 
 def summarise(dataset: Dataset, measured: Measured | None = None) -> dict[str, Any]:
     """The report's figures of all items as plain JSON values; None where a figure is unknown."""
     from bask_data.evaluation.figures import summary
+    from bask_data.evaluation.judging import verdicts
+    from bask_data.evaluation.verdicts import as_json
 
-    return summary(dataset, measured or measure(dataset))
+    measured = measured or measure(dataset)
+    rows = verdicts(dataset, measured)
+    return {**summary(dataset, measured), **({"verdicts": as_json(rows)} if rows else {})}

@@ -31,7 +31,7 @@ Part = dict[str, Any]
 
 @dataclass(frozen=True)
 class Chosen:
-    """The items that a page shows: the first scenes, demonstrations and variants."""
+    """The items that a page shows: the first scenes, demonstrations and variants, and the worst."""
 
     dataset: Dataset
     measured: Measured
@@ -62,18 +62,25 @@ class Chosen:
         return {name: value for name in self.scenes if (value := self.measured.masks(name))}
 
 
-def choose(dataset: Dataset, measured: Measured, n_frames: int) -> Chosen:
-    """The first scenes, demonstrations and variants of the dataset."""
+def choose(dataset: Dataset, measured: Measured, n_frames: int, worst: Sequence[str] = ()) -> Chosen:
+    """The first scenes, demonstrations and variants of the dataset; the worst items are among them."""
     kinds = (DescriptorNet, ReferenceKeypoints, KeypointTrack)
     variants = list(dict.fromkeys(name for kind in kinds for name in dataset.variants(kind)))
     return Chosen(
         dataset=dataset,
         measured=measured,
-        scenes=dataset.items("scene")[:N_ITEMS],
-        demonstrations=dataset.items("demonstration")[:N_ITEMS],
+        scenes=_first(dataset.items("scene"), worst),
+        demonstrations=_first(dataset.items("demonstration"), worst),
         variants=variants[:N_ITEMS],
         n_frames=n_frames,
     )
+
+
+def _first(names: Sequence[str], worst: Sequence[str]) -> list[str]:
+    """The worst items and as many of the first as there is space for, in their order."""
+    kept = [name for name in dict.fromkeys(worst) if name in names][:N_ITEMS]
+    others = [name for name in names if name not in kept][: N_ITEMS - len(kept)]
+    return [name for name in names if name in {*kept, *others}]
 
 
 def per_item(names: Sequence[str], part: Callable[[str], Part | None]) -> list[Part]:

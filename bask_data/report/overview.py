@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any, TypeVar
 
-import numpy as np
-
 from bask_data.artifact import Artifact
 from bask_data.dataset import Dataset
+from bask_data.evaluation.judgements import median_apart, merged_labels
 from bask_data.evaluation.lookup import UNREADABLE, find, find_recording, find_truth
 from bask_data.evaluation.made import made
 from bask_data.evaluation.track_figures import figures_of_track
@@ -47,11 +46,15 @@ def _left_out(chosen: Chosen) -> list[str]:
         ("demonstrations", chosen.dataset.items("demonstration"), chosen.demonstrations),
     ]
     return [
-        f"{len(everything)} {sort}: the first {len(shown)} are shown, {len(everything) - len(shown)} are left out; "
-        "the figures are for those shown."
+        f"{len(everything)} {sort}: {_named(shown, everything)} are shown, "
+        f"{len(everything) - len(shown)} are left out; the figures below are for those shown."
         for sort, everything, shown in sorts
         if len(shown) < len(everything)
     ]
+
+
+def _named(shown: list[str], everything: list[str]) -> str:
+    return f"the first {len(shown)}" if shown == everything[: len(shown)] else ", ".join(shown)
 
 
 def _missing(chosen: Chosen) -> list[str]:
@@ -102,9 +105,12 @@ def _headline(chosen: Chosen) -> list[tuple[str, str]]:
     n_objects = [len(o.instances) for name in chosen.scenes if (o := _readable(find(dataset, ObjectInstances, name)))]
     if n_objects:
         rows.append((f"{sum(n_objects)}", "objects found"))
-    ious = [label["iou"] for figures in chosen.masks.values() for label in figures.get("labels") or []]
-    if ious:
-        rows.append((f"{np.median(ious):.2f}", f"median mask IoU of {count(len(ious), 'labelled object')}"))
+    labels = [label for figures in chosen.masks.values() for label in figures.get("labels") or []]
+    merged, middle = merged_labels(labels), median_apart(labels)
+    if middle is not None:
+        n_apart = count(len(labels) - len(merged), "labelled object")
+        but = f"; {len(merged)} more are merged with others" if merged else ""
+        rows.append((f"{middle:.2f}", f"median mask IoU of {n_apart}{' that stand apart' if merged else ''}{but}"))
     n_matches = [
         c.metadata.n_matches for name in chosen.scenes if (c := _readable(find(dataset, Correspondences, name)))
     ]

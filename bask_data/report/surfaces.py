@@ -14,6 +14,7 @@ from bask_data.evaluation.artifact_figures import objects_figures, reconstructio
 from bask_data.evaluation.lookup import find
 from bask_data.kinds import ObjectInstances, Reconstruction, Scan
 from bask_data.report.chosen import N_ROWS, PICTURE, Chosen, Part, per_item
+from bask_data.report.turned import surface_text
 
 FIRST, LAST = (80, 220, 120), (240, 70, 90)
 """Colours of the first and last camera on the path."""
@@ -21,6 +22,8 @@ BAD = "#e0453a"
 """Colour of suspect frames."""
 CAMERA_COLOURS = ("", "#4a90d0", "#3f9f74", "#a07cc0", "#b8923a")
 """Colours of the cameras' curves, none of them near `BAD`; the first is that of the text."""
+NO_PICTURES: Part = {"tiles": [], "orbit": []}
+"""Of an empty mesh."""
 
 
 def reconstruction(chosen: Chosen) -> list[Part]:
@@ -47,7 +50,8 @@ def reconstruction(chosen: Chosen) -> list[Part]:
                 for region in numbers["unmeasured"][:N_ROWS]
             ],
             "plots": _frame_plots(mesh),
-            "tiles": _mesh_tiles(chosen.dataset, name, mesh, None),
+            **_pictures(chosen.dataset, name, mesh, None),
+            "surface": _surface(chosen.dataset, name, mesh),
         }
 
     return per_item(chosen.scenes, part)
@@ -134,7 +138,7 @@ def objects(chosen: Chosen) -> list[Part]:
                 }
                 for row in numbers["neighbours"][:N_ROWS]
             ],
-            "tiles": _mesh_tiles(chosen.dataset, name, mesh, instances) if mesh is not None and fits else [],
+            **(_pictures(chosen.dataset, name, mesh, instances) if mesh is not None and fits else NO_PICTURES),
             "why_no_picture": ""
             if fits
             else "there is no reconstruction to draw the objects on"
@@ -145,9 +149,18 @@ def objects(chosen: Chosen) -> list[Part]:
     return per_item(chosen.scenes, part)
 
 
-def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: ObjectInstances | None) -> list[Part]:
+def _surface(dataset: Dataset, name: str, mesh: Reconstruction) -> str:
+    """The surface for `surface.js`, with objects if they are those of this mesh."""
+    objects, scan = find(dataset, ObjectInstances, name), find(dataset, Scan, name)
+    if objects is not None and len(objects.vertex_instance) != len(mesh.vertices):
+        objects = None
+    return surface_text(mesh, objects, scan.cameras if scan else [], (FIRST, LAST))
+
+
+def _pictures(dataset: Dataset, name: str, mesh: Reconstruction, objects: ObjectInstances | None) -> Part:
+    """`tiles`: a frame and the mesh as it saw it; `orbit`: the mesh from above."""
     if not len(mesh.triangles):
-        return []
+        return NO_PICTURES
     scan = find(dataset, Scan, name)
     cameras = scan.cameras if scan else []
     # A static camera shows one side only.
@@ -158,7 +171,7 @@ def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: Obje
     scene = MeshScene(mesh.vertices, mesh.triangles)
     colours = mesh.colors if objects is None else instance_colours(objects.vertex_instance, mesh.colors)
     sharp, ambient = objects is not None, 0.65 if objects is None else 0.35
-    tiles = []
+    tiles, orbit = [], []
     if camera:
         i_frame = camera.n_frames // 2
         height, width = round(camera.height * PICTURE / camera.width), PICTURE
@@ -177,5 +190,5 @@ def _mesh_tiles(dataset: Dataset, name: str, mesh: Reconstruction, objects: Obje
         picture = scene.render(colours, view, sharp=sharp, ambient=ambient)
         if objects is None and camera:
             picture = draw_path(picture, view, path, FIRST, LAST)
-        tiles.append({"uri": jpeg_uri(picture), "text": f"from above, {side}"})
-    return tiles
+        orbit.append({"uri": jpeg_uri(picture), "text": f"from above, {side}"})
+    return {"tiles": tiles, "orbit": orbit}

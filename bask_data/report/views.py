@@ -7,18 +7,25 @@ from typing import Any
 
 import numpy as np
 
+from bask_data.core.geometry import transform, unproject
 from bask_data.drawing.colours import N_LABEL_COLOURS, css, instance_colour, turbo_gradient
 from bask_data.drawing.images import depth_picture, jpeg_uri, resize, resize_labels
 from bask_data.drawing.mask_pictures import mask_picture
 from bask_data.drawing.match_pictures import matches_picture, spread_matches
 from bask_data.drawing.plots import histogram
 from bask_data.evaluation.artifact_figures import matches_figures, recording_figures, view_changes
+from bask_data.evaluation.judgements import REASONS, median_apart, merged_labels, plain_reason
 from bask_data.evaluation.lookup import find, find_recording, find_truth, spread_frames
-from bask_data.kinds import Correspondences, ObjectInstances, Scan, Truth, VisibleMasks
+from bask_data.kinds import Camera, Correspondences, ObjectInstances, Reconstruction, Scan, Truth, VisibleMasks
 from bask_data.report.chosen import N_CAMERAS, N_ROWS, PICTURE, TILE, WIDE, Chosen, Part, per_item
 
 N_DRAWN_MATCHES = 30
 """Matches drawn per pair, at most: more lines cannot be followed by eye."""
+N_RANGED, RANGE_STRIDE, LEAST_RANGED = 5, 8, 50
+"""Frames, every so many pixels, whose depths in the workspace give the range of colours, and the least number of them.
+Sensitivity not measured."""
+FAR_SHARE = 2.0
+"""Depths beyond this multiple of the median are background. Sensitivity not measured."""
 
 
 def frames(chosen: Chosen) -> list[Part]:
@@ -31,22 +38,56 @@ def frames(chosen: Chosen) -> list[Part]:
         sort = "scan" if isinstance(recording, Scan) else "demonstration"
         cameras = recording_figures(recording)
         n_frames = max(chosen.n_frames // min(len(cameras), N_CAMERAS), 2) if cameras else 0
+        mesh = find(chosen.dataset, Reconstruction, name) if sort == "scan" else None
+
+        def sheet(camera: Camera) -> Part:
+            figures = cameras[camera.name]
+            # A camera at rest shows a scan's objects the same in every frame.
+            shows_one = sort == "scan" and figures["is_still"]
+            near, far = _depth_range(camera, figures, mesh)
+            return {
+                **figures,
+                "shows_one": shows_one and camera.n_frames > 1,
+                **_contact_sheet(camera, near, far, 1 if shows_one else n_frames),
+            }
+
         return {
             "title": f"{name} ({sort})",
-            "cameras": [
-                {"name": camera.name, **cameras[camera.name], **_contact_sheet(camera, cameras[camera.name], n_frames)}
-                for camera in recording.cameras[:N_CAMERAS]
-            ],
+            "cameras": [{"name": camera.name, **sheet(camera)} for camera in recording.cameras[:N_CAMERAS]],
             "n_cameras_left_out": max(len(cameras) - N_CAMERAS, 0),
         }
 
     return per_item([*chosen.scenes, *chosen.demonstrations], part)
 
 
-def _contact_sheet(camera: Any, figures: dict[str, Any], n_frames: int) -> Part:
+def _depth_range(camera: Camera, figures: dict[str, Any], mesh: Reconstruction | None) -> tuple[float, float]:
+    """Depths that the colours spread over, metres: those in the workspace; without one, up to twice the median, as a
+    distant wall would leave the objects one colour."""
     near, far = figures["depth_range_m"]
+    if mesh is not None:
+        corners = np.array(mesh.metadata.bounds, np.float64).reshape(2, 3)
+        inside = [_depths_inside(camera, i, corners) for i in spread_frames(camera.n_frames, N_RANGED)]
+        depths = np.concatenate(inside) if inside else np.zeros(0)
+        if len(depths) >= LEAST_RANGED:
+            return float(np.percentile(depths, 2)), float(np.percentile(depths, 98))
+    middle = figures["depth_m"].median
+    return near, min(far, FAR_SHARE * middle) if np.isfinite(middle) else far
+
+
+def _depths_inside(camera: Camera, i_frame: int, corners: np.ndarray) -> np.ndarray:
+    """Some of a frame's depths (n,) whose points lie in a box, metres."""
+    depth = camera.depth(i_frame)[::RANGE_STRIDE, ::RANGE_STRIDE]
+    v, u = np.nonzero(depth > 0)
+    z = depth[v, u].astype(np.float64)
+    uv = RANGE_STRIDE * np.stack([u, v], axis=1).astype(np.float64)
+    points = transform(camera.world_from_cameras[i_frame], unproject(uv, z, camera.Ks[i_frame]))
+    return z[((points >= corners[0]) & (points <= corners[1])).all(axis=1)]
+
+
+def _contact_sheet(camera: Camera, near: float, far: float, n_frames: int) -> Part:
     tiles = []
-    for i_frame in spread_frames(camera.n_frames, n_frames):
+    chosen = spread_frames(camera.n_frames, n_frames) if n_frames > 1 else [camera.n_frames // 2][: camera.n_frames]
+    for i_frame in chosen:
         depth = depth_picture(_shrunk_depth(camera.depth(i_frame)), near, far)
         tiles.append(
             {
@@ -100,7 +141,8 @@ def masks(chosen: Chosen) -> list[Part]:
             "n_rows_left_out": max(len(numbers["instances"]) - N_ROWS, 0),
             "labels": numbers["labels"],
             "colours": ["", *colours],
-            "median_iou": float(np.median([row["iou"] for row in numbers["labels"]])) if numbers["labels"] else None,
+            "median_iou": median_apart(numbers["labels"] or []),
+            "merged": merged_labels(numbers["labels"] or []),
         }
 
     return per_item(chosen.scenes, part)
@@ -129,13 +171,14 @@ def matches(chosen: Chosen) -> list[Part]:
         scan = find(chosen.dataset, Scan, name)
         most = max([numbers["n_matches"], *numbers["rejections"].values()], default=1) or 1
         reasons = sorted(numbers["rejections"], key=lambda why: -numbers["rejections"][why])
-        bars = [("accepted", numbers["n_matches"]), *sorted(numbers["rejections"].items(), key=lambda row: -row[1])]
+        bars = [("accepted", numbers["n_matches"]), *((REASONS[why], numbers["rejections"][why]) for why in reasons)]
         return {
             "title": name,
             "numbers": numbers,
             "bars": [{"name": why, "n": n, "width": round(100 * n / most, 1)} for why, n in bars[:N_ROWS]],
             "tiles": _pair_tiles(scan, correspondences) if scan else [],
-            "reasons": reasons,
+            "reasons": [REASONS[why] for why in reasons],
+            "notes": [plain_reason(text) for text in numbers["warnings"]],
             "table": _tried_per_object(numbers, reasons)[:N_ROWS],
             "plots": _change_plots(correspondences),
         }

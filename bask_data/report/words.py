@@ -66,16 +66,65 @@ def count(n: int, what: str) -> str:
     return f"{n:,} {what}" if n == 1 else f"{n:,} {what}s"
 
 
+def verbatim(text: str) -> markupsafe.Markup:
+    """Our own script, which nothing from files is part of."""
+    return markupsafe.Markup(text)
+
+
 def svg(text: str) -> markupsafe.Markup:
     """A plot as markup; everything else on the page is escaped."""
     return markupsafe.Markup(text)  # Drawn by `plots`, without any text from files.
 
 
+PLAIN = {
+    "measured_and_agreeing": "visible: measured depth agrees with the surface",
+    "measured_in_front": "occluded: something is measured in front",
+    "measured_behind": "not visible: depth is measured behind the surface",
+    "measured_through": "not visible: depth is measured where the surface should hide it",
+    "measured_where_the_mesh_has_a_hole": "visible: measured where the mesh has a hole",
+    "not_measured_and_kept": "visible: inferred, without measured depth",
+    "not_measured_and_hidden": "occluded: inferred, without measured depth",
+    "not_measured_and_filled": "visible: filled between measured pixels",
+    "fixed_to_camera": "occluded by what is fixed to the camera",
+    "hidden_by_colour": "occluded, by its colour",
+    "frames": "frames of the scan",
+    "frames_excluded": "frames excluded by name",
+    "frames_of_distinct_views": "frames left after thinning",
+    "frames_fused": "frames fused",
+    "frames_without_depth": "frames without depth in range",
+    "frames_without_depth_in_the_workspace": "frames without depth in the workspace",
+    "frames_suspect": "frames that disagree with the others",
+    "workspace": "workspace",
+    "voxel_blocks": "blocks of the volume",
+    "explained": "share of the depth on the mesh",
+    "residual": "measured minus mesh depth, median, m",
+    "residual_abs": "distance from the mesh, median, m",
+    "seen_from_behind": "share of the surface seen from behind only",
+    "validation_median_error_px": "median error in validation, pixels",
+    **{f"validation_pck_{p}": f"PCK in validation, within {p} % of the diagonal" for p in (1, 2, 4, 8)},
+}
+"""Names of figures in the glossary's words; others are shown with spaces."""
+
+
+def plain(name: str) -> str:
+    """The name of a figure for readers."""
+    return PLAIN.get(name, name.replace("_", " "))
+
+
+def command(text: str) -> tuple[str, str]:
+    """A fix as prose and the command that it ends with, if any."""
+    prose, found, rest = text.partition("bask-data ")
+    return prose.strip(), (found + rest).strip()
+
+
 FILTERS = {
+    "command": command,
     "number": number,
+    "plain": plain,
     "percent": percent,
     "mm": millimetres,
     "size": size,
     "duration": duration,
     "svg": svg,
+    "verbatim": verbatim,
 }
