@@ -12,13 +12,16 @@ import numpy as np
 from bask_data.artifact import Artifact
 from bask_data.core.track_scores import step_length
 from bask_data.dataset import Dataset
-from bask_data.evaluation import judgements as judged
+from bask_data.evaluation import keypoint_verdicts as of_keypoints
+from bask_data.evaluation import recording_verdicts as of_recording
+from bask_data.evaluation import scene_verdicts as of_scene
 from bask_data.evaluation.figures import Measured
 from bask_data.evaluation.ingest_again import ingest_command
+from bask_data.evaluation.label_matches import labels_confirm
 from bask_data.evaluation.lookup import UNREADABLE, find, find_truth, what_is_wrong
 from bask_data.evaluation.track_figures import figures_of_track
 from bask_data.evaluation.usual import JUMP_M
-from bask_data.evaluation.verdicts import Judgement, StageVerdict, after_failures, not_made, stage_verdict
+from bask_data.evaluation.verdicts import ItemVerdict, StageVerdict, after_failures, not_made, stage_verdict
 from bask_data.findings import Finding
 from bask_data.kinds import (
     Correspondences,
@@ -33,7 +36,7 @@ from bask_data.kinds import (
     VisibleMasks,
 )
 
-N_COMPARED = 3
+N_LABELLED = 3
 """Scenes whose masks are compared with labels for the verdict, as every frame has to be read."""
 
 A = TypeVar("A", bound=Artifact)
@@ -64,11 +67,11 @@ def verdicts(dataset: Dataset, measured: Measured) -> list[StageVerdict]:
 def _of_recordings(dataset: Dataset, kind: type[Recording], stage: str, options: str) -> list[StageVerdict]:
     is_scan = kind is Scan
 
-    def judge(name: str, recording: Recording) -> Judgement:
+    def judge(name: str, recording: Recording) -> ItemVerdict:
         def again(fix: str) -> str:
             return ingest_command(dataset, name, fix)
 
-        return judged.recording_judgement(name, recording.metadata, again, is_scan=is_scan)
+        return of_recording.recording_judgement(name, recording.metadata, again, is_scan=is_scan)
 
     names = dataset.items("scene" if is_scan else "demonstration")
     fix = f"bask-data ingest auto SOURCE ROOT{options}"
@@ -82,7 +85,7 @@ def _of_scenes(dataset: Dataset, measured: Measured) -> list[StageVerdict]:
     scenes = dataset.items("scene")
     if not scenes:
         return []
-    compared = [name for name in scenes if find_truth(dataset, name)][:N_COMPARED]
+    compared = [name for name in scenes if find_truth(dataset, name)][:N_LABELLED]
 
     def labels(name: str) -> list[dict[str, Any]]:
         return (measured.masks(name).get("labels") or []) if name in compared else []
@@ -97,7 +100,7 @@ def _of_scenes(dataset: Dataset, measured: Measured) -> list[StageVerdict]:
             Reconstruction,
             "Surface",
             scenes,
-            lambda name, made: judged.reconstruction_judgement(name, made.metadata),
+            lambda name, made: of_scene.reconstruction_judgement(name, made.metadata),
             "bask-data run ROOT",
         ),
         _judged(
@@ -105,8 +108,8 @@ def _of_scenes(dataset: Dataset, measured: Measured) -> list[StageVerdict]:
             ObjectInstances,
             "Objects",
             scenes,
-            lambda name, made: judged.without_depth(
-                judged.objects_judgement(name, made.metadata, is_confirmed=judged.labels_confirm(labels(name))),
+            lambda name, made: of_scene.without_depth(
+                of_scene.objects_judgement(name, made.metadata, is_confirmed=labels_confirm(labels(name))),
                 n_unmeasured(name),
             ),
             "bask-data run ROOT",
@@ -116,8 +119,8 @@ def _of_scenes(dataset: Dataset, measured: Measured) -> list[StageVerdict]:
             VisibleMasks,
             "Visible masks",
             scenes,
-            lambda name, made: judged.without_depth(
-                judged.masks_judgement(name, made.metadata, labels(name)), n_unmeasured(name)
+            lambda name, made: of_scene.without_depth(
+                of_scene.masks_judgement(name, made.metadata, labels(name)), n_unmeasured(name)
             ),
             "bask-data run ROOT",
         ),
@@ -126,7 +129,7 @@ def _of_scenes(dataset: Dataset, measured: Measured) -> list[StageVerdict]:
             Correspondences,
             "Matches",
             scenes,
-            lambda name, made: judged.correspondences_judgement(name, made.metadata),
+            lambda name, made: of_scene.correspondences_judgement(name, made.metadata),
             "bask-data run ROOT",
         ),
     ]
@@ -137,14 +140,14 @@ def _of_networks(dataset: Dataset, measured: Measured) -> list[StageVerdict]:
     if not name:
         return [not_made("Training", "no descriptor network", "bask-data run ROOT")] if dataset.items("scene") else []
 
-    def judge(variant: str, network: DescriptorNet) -> Judgement:
+    def judge(variant: str, network: DescriptorNet) -> ItemVerdict:
         known = network.metadata
-        return judged.network_judgement(variant, known.metrics, known.validated_on, known.step)
+        return of_keypoints.network_judgement(variant, known.metrics, known.validated_on, known.step)
 
     rows = [_judged(dataset, DescriptorNet, "Training", [name], judge, "bask-data run ROOT")]
     result = measured.descriptors()
     if figures := result.get("variants", {}).get(name):
-        row = judged.evaluation_judgement(name, figures["all"]["pck_4"], str(result["measured_on"]))
+        row = of_keypoints.evaluation_judgement(name, figures["all"]["pck_4"], str(result["measured_on"]))
         rows.append(stage_verdict("Evaluation", [row], [], ""))
     return rows
 
@@ -154,8 +157,8 @@ def _of_keypoints(dataset: Dataset, measured: Measured) -> list[StageVerdict]:
     if not demonstrations and not _variant(dataset, ReferenceKeypoints):
         return []
 
-    def judge_reference(variant: str, reference: ReferenceKeypoints) -> Judgement:
-        return judged.reference_judgement(variant, reference.picks)
+    def judge_reference(variant: str, reference: ReferenceKeypoints) -> ItemVerdict:
+        return of_keypoints.reference_judgement(variant, reference.picks)
 
     stage, name = "Reference keypoints", _variant(dataset, ReferenceKeypoints)
     rows = [not_made(stage, "no keypoints picked", "bask-data reference ROOT --pick")]
@@ -165,11 +168,11 @@ def _of_keypoints(dataset: Dataset, measured: Measured) -> list[StageVerdict]:
         return rows
     variant = _variant(dataset, KeypointTrack) or "main"
 
-    def judge_track(item: str, track: KeypointTrack) -> Judgement:
+    def judge_track(item: str, track: KeypointTrack) -> ItemVerdict:
         steps = step_length(track.mean)
         known = np.isfinite(steps)
         jumps = float((steps[known] > JUMP_M).mean()) if known.any() else float("nan")
-        return judged.track_judgement(item, figures_of_track(measured.track(item, variant)), jumps)
+        return of_keypoints.track_judgement(item, figures_of_track(measured.track(item, variant)), jumps)
 
     fix = "bask-data run ROOT"
     return [*rows, _judged(dataset, KeypointTrack, "Tracked keypoints", demonstrations, judge_track, fix, variant)]
@@ -191,7 +194,7 @@ def _judged(
     kind: type[A],
     stage: str,
     names: Sequence[str],
-    judge: Callable[[str, A], Judgement],
+    judge: Callable[[str, A], ItemVerdict],
     fix: str,
     variant: str = "main",
 ) -> StageVerdict:
@@ -207,5 +210,5 @@ def _judged(
             found.append(judge(name, artifact))
         except UNREADABLE as error:
             why = Finding("unreadable", name, what_is_wrong(error), f"{fix} --force")
-            found.append(Judgement(name, "cannot be read", findings=(why,)))
+            found.append(ItemVerdict(name, "cannot be read", findings=(why,)))
     return stage_verdict(stage, found, missing, fix)

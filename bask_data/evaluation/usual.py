@@ -6,6 +6,7 @@ named, which are others than those a user judges; no range was chosen to make on
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -78,3 +79,13 @@ SPREAD = Usual(0.05, 1.0, "5 cm or less", higher_is_better=False)
 JUMP_M, JUMPS = 0.1, Usual(0.02, 1.0, "2 % or fewer", higher_is_better=False)
 """Motion from one frame to the next that counts as a jump, metres: 3 m/s at 30 Hz. And the share of jumps. Chosen,
 sensitivity not measured."""
+
+
+def percent(share: float) -> str:
+    """A share in words; a dash if unknown."""
+    return "–" if math.isnan(share) else f"{100 * share:.0f} %"
+
+
+def length(metres: float) -> str:
+    """A length in words."""
+    return "unknown" if math.isnan(metres) else f"{1000 * metres:.0f} mm"

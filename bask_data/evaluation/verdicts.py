@@ -27,7 +27,7 @@ _OF_FIGURE = {
 
 
 @dataclass(frozen=True)
-class Judgement:
+class ItemVerdict:
     """What one stage made for one item.
 
     Args:
@@ -84,7 +84,7 @@ def not_made(stage: str, evidence: str, fix: str) -> StageVerdict:
     return StageVerdict(stage, "not made", evidence, fix=fix)
 
 
-def stage_verdict(stage: str, judgements: Sequence[Judgement], missing: Sequence[str], fix: str) -> StageVerdict:
+def stage_verdict(stage: str, judgements: Sequence[ItemVerdict], missing: Sequence[str], fix: str) -> StageVerdict:
     """One row for all items of a stage.
 
     Args:
@@ -117,7 +117,7 @@ def _why(finding: Finding) -> str:
     return finding.meaning.rstrip(".") if finding.code in _OF_FIGURE else finding.evidence
 
 
-def _badness(judgement: Judgement) -> tuple[int, float]:
+def _badness(judgement: ItemVerdict) -> tuple[int, float]:
     return VERDICTS.index(judgement.verdict), -math.inf if math.isnan(judgement.figure) else judgement.figure
 
 
@@ -125,7 +125,7 @@ def _listed(names: Sequence[str], most: int = 3) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-def _counts(judgements: Sequence[Judgement], missing: Sequence[str]) -> str:
+def _counts(judgements: Sequence[ItemVerdict], missing: Sequence[str]) -> str:
     of: dict[Verdict, int] = {verdict: sum(each.verdict == verdict for each in judgements) for verdict in VERDICTS}
     of["not made"] = len(missing)
     words = [f"{of[verdict]} {verdict}" for verdict in reversed(VERDICTS) if of[verdict]]

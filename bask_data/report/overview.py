@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 from bask_data.artifact import Artifact
 from bask_data.dataset import Dataset
-from bask_data.evaluation.judgements import median_apart, merged_labels
+from bask_data.evaluation.label_matches import median_apart, merged_labels
 from bask_data.evaluation.lookup import UNREADABLE, find, find_recording, find_truth
 from bask_data.evaluation.made import made
 from bask_data.evaluation.track_figures import figures_of_track

@@ -14,8 +14,9 @@ from bask_data.drawing.mask_pictures import mask_picture
 from bask_data.drawing.match_pictures import matches_picture, spread_matches
 from bask_data.drawing.plots import histogram
 from bask_data.evaluation.artifact_figures import matches_figures, recording_figures, view_changes
-from bask_data.evaluation.judgements import REASONS, median_apart, merged_labels, plain_reason
+from bask_data.evaluation.label_matches import median_apart, merged_labels
 from bask_data.evaluation.lookup import find, find_recording, find_truth, spread_frames
+from bask_data.evaluation.match_reasons import REASONS, plain_reason
 from bask_data.kinds import Camera, Correspondences, ObjectInstances, Reconstruction, Scan, Truth, VisibleMasks
 from bask_data.report.chosen import N_CAMERAS, N_ROWS, PICTURE, TILE, WIDE, Chosen, Part, per_item
 

@@ -168,7 +168,8 @@ def test_networks_that_cannot_be_measured_say_why(filled, tmp_path):
 def test_the_step_of_the_saved_weights_is_stated_and_marked(two_networks, tmp_path, drawn):
     html = section(write_report(two_networks, tmp_path / "r.html").read_text(encoding="utf-8"), "training")
     text = Page(html).text
-    assert "99 steps; the weights are those of step 80, where validation pck 4 was best (dotted line)" in text
+    best = "where the PCK in validation, within 4 % of the diagonal, was best"
+    assert f"99 steps; the weights are those of step 80, {best} (dotted line)" in text
     assert "99 steps; the weights are those of the last step" in text
     marked = [how["marked_x"] for _, how in drawn if how.get("x_label") == "optimiser steps"]
     assert marked == [80, 80, None, None]
