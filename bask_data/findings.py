@@ -114,7 +114,6 @@ CODES = {
     "object-with-camera": Code("warning", "Something moves with the camera, as a gripper does, or moved by itself."),
     "object-flat": Code("note", "Something is flat on the support: a thin object, or the support's own unevenness."),
     # What the stages made, judged by its figures; evaluation/usual.py has the ranges.
-    "unreadable": Code("error", "The artifact is damaged."),
     "surface-unexplained": Code("error", "Most of the measured depth is not on the surface: the recording is wrong."),
     "surface-doubtful": Code("warning", "Less of the measured depth is on the surface than usual."),
     "frames-disagree": Code("warning", "Many frames do not fit the surface that the others make."),
