@@ -36,7 +36,7 @@ from bask_data.kinds import (
     VisibleMasks,
 )
 
-N_LABELLED = 3
+MOST_LABELLED = 3
 """Scenes whose masks are compared with labels for the verdict, as every frame has to be read."""
 
 A = TypeVar("A", bound=Artifact)
@@ -85,7 +85,7 @@ def _of_scenes(dataset: Dataset, measured: Measured) -> list[StageVerdict]:
     scenes = dataset.items("scene")
     if not scenes:
         return []
-    compared = [name for name in scenes if find_truth(dataset, name)][:N_LABELLED]
+    compared = [name for name in scenes if find_truth(dataset, name)][:MOST_LABELLED]
 
     def labels(name: str) -> list[dict[str, Any]]:
         return (measured.masks(name).get("labels") or []) if name in compared else []

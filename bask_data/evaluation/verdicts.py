@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from bask_data.findings import Finding, by_severity
-from bask_data.spelling import number_of
 
 Verdict = Literal["pass", "look", "fail", "not made"]
 
@@ -60,7 +59,7 @@ class StageVerdict:
         usual: the usual range of the evidence.
         why: what was found about the worst item, a sentence each.
         fix: what to do, a command where there is one.
-        others: how many items are how good, in words; empty for a single one.
+        others: how many items are how good, and which is worst, in words; empty for a single one.
     """
 
     stage: str
@@ -107,7 +106,7 @@ def stage_verdict(stage: str, judgements: Sequence[ItemVerdict], missing: Sequen
         worst=worst.item if n_items > 1 and not is_incomplete else "",
         why=tuple(_why(finding) for finding in own if finding.severity != "note"),
         fix=next((each.fix for each in own if each.fix and each.severity != "note"), fix if is_incomplete else ""),
-        others=_counts(judgements, missing) if n_items > 1 else "",
+        others=_counts(judgements, missing, "" if is_incomplete else worst.item) if n_items > 1 else "",
         findings=tuple(findings),
     )
 
@@ -125,11 +124,15 @@ def _listed(names: Sequence[str], most: int = 3) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-def _counts(judgements: Sequence[ItemVerdict], missing: Sequence[str]) -> str:
+def _counts(judgements: Sequence[ItemVerdict], missing: Sequence[str], worst: str) -> str:
+    """How many items are how good, in words, and the worst."""
+    n, is_known = len(judgements) + len(missing), any(not math.isnan(each.figure) for each in judgements)
     of: dict[Verdict, int] = {verdict: sum(each.verdict == verdict for each in judgements) for verdict in VERDICTS}
     of["not made"] = len(missing)
-    words = [f"{of[verdict]} {verdict}" for verdict in reversed(VERDICTS) if of[verdict]]
-    return f"{number_of(len(judgements) + len(missing), 'item')}: {', '.join(words)}"
+    if of["pass"] == n:
+        return f"lowest of {n}: {worst}" if is_known else f"all {n}"
+    words = ", ".join(f"{of[verdict]} {verdict}" for verdict in reversed(VERDICTS) if of[verdict])
+    return f"worst: {worst}; {words}" if worst else words
 
 
 def after_failures(rows: Sequence[StageVerdict]) -> list[StageVerdict]:

@@ -62,7 +62,7 @@
       if (!w || !h) return;
       canvas.width = Math.round(w * ratio); canvas.height = Math.round(h * ratio);
       const { back, right, above } = axes(), eye = add(target, back, look.distance);
-      const near = Math.max(look.distance / 50, 0.001), far = look.distance + 5 * size, f = 2.2, fx = f * Math.min(1, h / w);
+      const near = Math.max(look.distance / 50, 0.001), far = look.distance + 5 * size, f = 2.6, fx = f * Math.min(1, h / w);
       const fy = fx * w / h, a = (far + near) / (near - far), b = 2 * far * near / (near - far);
       const rows = [right.map((x) => fx * x), above.map((x) => fy * x), back.map((x) => a * x), back.map((x) => -x)];
       const last = [-fx * dot(right, eye), -fy * dot(above, eye), b - a * dot(back, eye), dot(back, eye)];

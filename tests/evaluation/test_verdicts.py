@@ -231,7 +231,7 @@ BAD = ItemVerdict("c", "10 %", figure=0.1, findings=(Finding("masks-wrong", "c",
 def test_a_row_shows_the_worst_item_and_counts_the_others():
     made = row("Visible masks", GOOD, BAD, WEAK, missing=("d",))
     assert (made.verdict, made.worst, made.evidence, made.fix) == ("fail", "c", "10 %", "mend it")
-    assert made.others == "4 items: 1 pass, 1 not made, 1 look, 1 fail"
+    assert made.others == "worst: c; 1 pass, 1 not made, 1 look, 1 fail"
     assert [finding.code for finding in made.findings] == ["masks-wrong", "masks-off"]
 
 
