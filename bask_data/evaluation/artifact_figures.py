@@ -30,6 +30,11 @@ def recording_figures(recording: Recording | None) -> dict[str, Any]:
     return {camera.name: _camera_figures(camera) for camera in recording.cameras}
 
 
+def is_still(camera: Camera) -> bool:
+    """Whether all poses of a camera are the same."""
+    return bool((camera.world_from_cameras == camera.world_from_cameras[:1]).all())
+
+
 def _camera_figures(camera: Camera) -> dict[str, Any]:
     measured, depths = [], []
     for i_frame in spread_frames(camera.n_frames, N_SAMPLED):
@@ -47,7 +52,7 @@ def _camera_figures(camera: Camera) -> dict[str, Any]:
         "depth_share": float(np.mean(measured)) if measured else math.nan,
         "depth_m": distribution(all_depths),
         "depth_range_m": [float(x) for x in np.percentile(all_depths, [2, 98])] if len(all_depths) else [0.0, 1.0],
-        "is_still": not steps.any(),
+        "is_still": is_still(camera),
     }
 
 

@@ -11,6 +11,7 @@ from bask_data.dataset import Dataset
 from bask_data.drawing.colours import WHITE, Colour, css, heat_gradient, palette
 from bask_data.drawing.images import jpeg_uri
 from bask_data.drawing.pictures import Mark, crop_picture, heat_picture
+from bask_data.evaluation.artifact_figures import is_still
 from bask_data.evaluation.finder import Finder, Sight
 from bask_data.evaluation.lookup import UNREADABLE, find, find_recording, spread_frames, what_is_wrong
 from bask_data.evaluation.reference_points import (
@@ -22,7 +23,7 @@ from bask_data.evaluation.reference_points import (
     frame_of,
     reference_points,
 )
-from bask_data.kinds import Camera, Pick, Recording, ReferenceKeypoints
+from bask_data.kinds import Camera, Pick, Recording, ReferenceKeypoints, Scan
 from bask_data.report.chosen import Chosen, Part, per_item
 
 N_SCANS = 3
@@ -148,6 +149,8 @@ def _frames_that_show(
     best: tuple[int, Camera, list[int]] | None = None
     for camera in recording.cameras:
         candidates = [i for i in range(camera.n_frames) if (camera.name, i) not in own]
+        if isinstance(recording, Scan) and is_still(camera):
+            candidates = candidates[:1]  # The others would show the same.
         candidates = [candidates[i] for i in spread_frames(len(candidates), N_LOOKED_AT)]
         counts = np.array([_n_seen(places.pixels(camera, i), indices) for i in candidates], dtype=int)
         many = [i for i, n in zip(candidates, counts, strict=True) if 2 * n > counts.max(initial=0)]

@@ -13,7 +13,7 @@ from bask_data.drawing.images import depth_picture, jpeg_uri, resize, resize_lab
 from bask_data.drawing.mask_pictures import mask_picture
 from bask_data.drawing.match_pictures import matches_picture, spread_matches
 from bask_data.drawing.plots import histogram
-from bask_data.evaluation.artifact_figures import matches_figures, recording_figures, view_changes
+from bask_data.evaluation.artifact_figures import is_still, matches_figures, recording_figures, view_changes
 from bask_data.evaluation.label_matches import median_apart, merged_labels
 from bask_data.evaluation.lookup import find, find_recording, find_truth, spread_frames
 from bask_data.evaluation.match_reasons import REASONS, plain_reason
@@ -153,7 +153,7 @@ def _mask_tiles(scan: Any, masks: VisibleMasks, truth: Truth | None, camera: str
     frames, instances = scan.camera(camera), masks.camera(camera)
     labelled = truth is not None and camera in truth.camera_names
     tiles = []
-    for i_frame in spread_frames(min(frames.n_frames, instances.n_frames), n_frames):
+    for i_frame in spread_frames(min(frames.n_frames, instances.n_frames), 1 if is_still(frames) else n_frames):
         labels = truth.instance(camera, i_frame) if labelled and truth is not None else None
         instance, measured = instances.instance(i_frame), instances.measured(i_frame)
         picture = mask_picture(frames.rgb(i_frame), instance, labels, PICTURE, measured)
