@@ -272,7 +272,7 @@ def test_figures_on_the_page_are_those_of_the_summary(full_html, found):
         "Validated on: held-out frames of scan-a. 99 steps; the weights are those of step 80",
         "2 small clusters were dropped",
         "most matches: wrist frame",
-        "outside b",
+        "outside the second image",
     ):
         assert expected.replace("\u00a0", " ") in text
 
