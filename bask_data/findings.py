@@ -122,7 +122,7 @@ CODES = {
         "warning", "Cameras saw something without measuring its depth; masks are missing or wrong there."
     ),
     "stage-warning": Code("warning", "The stage noted something when it ran."),
-    "no-objects": Code("error", "No object was found, so there are no masks and no matches."),
+    "objects-none": Code("error", "No object was found, so there are no masks and no matches."),
     "objects-doubtful": Code("warning", "Objects may be merged, missing, or parts of the background."),
     "objects-merged": Code("warning", "Objects with labels of their own were found as one."),
     "masks-empty": Code("error", "No mask shows anything."),

@@ -71,7 +71,7 @@ def objects_judgement(item: str, metadata: ObjectsMetadata, *, is_confirmed: boo
         if not _HARMLESS.search(text) and not (is_confirmed and text.startswith("hollow"))
     ]
     if not n:
-        findings = [Finding("no-objects", item, "nothing was found on the support", _mending_of("support", item))]
+        findings = [Finding("objects-none", item, "nothing was found on the support", _mending_of("support", item))]
     return ItemVerdict(item, f"{n} object{'' if n == 1 else 's'}", "as many as you see", float(n), tuple(findings))
 
 

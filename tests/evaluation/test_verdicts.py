@@ -132,7 +132,7 @@ def objects(n: int, warnings: list[str], *, is_confirmed: bool = False) -> ItemV
 
 def test_objects_fail_without_any_and_deserve_a_look_when_hollow_unless_labels_confirm_them():
     hollow = ["hollow, or several objects that touch: 1 (66% of it lies inside its hull)"]
-    assert codes(objects(0, [])) == ["no-objects"]
+    assert codes(objects(0, [])) == ["objects-none"]
     assert (objects(2, hollow).verdict, objects(2, hollow, is_confirmed=True).verdict) == ("look", "pass")
     assert objects(2, hollow).findings[0].fix.endswith("bask-data objects ROOT --only table --eps 0.01")
     assert objects(2, ["objects that nearly touch: 1 and 2 (2.2 cm)"]).verdict == "pass"
@@ -261,7 +261,7 @@ def test_the_next_step_is_a_failure_before_a_look_before_what_is_not_made():
 
 
 def test_every_code_that_is_judged_is_listed():
-    assert {"surface-unexplained", "masks-contradicted", "track-jumps", "no-objects"} <= set(CODES)
+    assert {"surface-unexplained", "masks-contradicted", "track-jumps", "objects-none"} <= set(CODES)
 
 
 def test_the_command_that_reads_a_recording_again_replaces_the_options_that_were_wrong(tmp_path):
