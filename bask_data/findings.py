@@ -143,6 +143,9 @@ CODES = {
     "track-wrong": Code("error", "Tracked keypoints are far from ground truth."),
     "track-uncertain": Code("warning", "The filter is less certain of the keypoints than usual."),
     "track-jumps": Code("warning", "Keypoints jump from frame to frame."),
+    # Identity of objects across scans.
+    "identity-unknown": Code("note", "An object has no likely partner in another scan, or several that tie."),
+    "identity-twins": Code("warning", "Objects of one scan look the same: which one is which cannot be told."),
 }
 """All codes, by subject."""
 

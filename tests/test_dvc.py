@@ -86,7 +86,7 @@ def test_every_written_parameter_reads_back_as_it_is(repository: Path) -> None:
     file = repository / "table" / "params.yaml"
     config = load_config(file, [], STAGES)
     assert render(Dataset(repository / "table"), STAGES, config)["params.yaml"] == file.read_text()
-    for stage in STAGES:
+    for stage in (each for each in STAGES if not each.on_request):
         wanted = stage.params.model_validate(PARAMS.get(stage.name, {}))
         assert stage.params.model_validate(config[stage.name]) == wanted
 

@@ -34,6 +34,7 @@ COMMANDS = (
             "stages",
             "Match pixels of the objects between pairs of frames that see them from different places.",
         ),
+        ("identify", "stages", "Find out which objects of different scans are the same."),
         ("train", "stages", "Train a Dense Object Net on the matches of all scans."),
         ("reference", "stages", "Choose reference keypoints and store their descriptors."),
         ("encode", "stages", "Track the reference keypoints through a demonstration, in 3D."),

@@ -51,6 +51,11 @@ EXAMPLES = {
     bask-data correspondences data/demo
     bask-data correspondences data/demo --n-pairs 400 --min-angle-deg 30
     """,
+    "identify": """
+    bask-data identify data/demo
+    bask-data identify data/demo --names table1/2=mug,table1/3=box
+    bask-data identify data/demo --same table1/2=table2/4 --different table1/3=table2/1
+    """,
     "train": """
     bask-data train data/demo
     bask-data train data/demo --steps 500 --variant quick

@@ -7,6 +7,7 @@ from bask_data.kinds.cameras import Camera, CameraFrames, Recording, Scan
 from bask_data.kinds.correspondences import Correspondences, PairRow
 from bask_data.kinds.demonstration import Demonstration, Robot
 from bask_data.kinds.descriptor import DescriptorNet
+from bask_data.kinds.identities import Identities
 from bask_data.kinds.keypoints import KeypointTrack
 from bask_data.kinds.masks import VisibleMasks
 from bask_data.kinds.objects import InstanceRow, ObjectInstances
@@ -24,6 +25,7 @@ KINDS: tuple[type[Artifact], ...] = (
     ObjectInstances,
     VisibleMasks,
     Correspondences,
+    Identities,
     DescriptorNet,
     ReferenceKeypoints,
     KeypointTrack,
@@ -36,6 +38,7 @@ __all__ = [
     "Correspondences",
     "Demonstration",
     "DescriptorNet",
+    "Identities",
     "InstanceRow",
     "KeypointTrack",
     "ObjectInstances",

@@ -9,6 +9,7 @@ from typing import Any
 from bask_data.artifact import Artifact
 from bask_data.kinds.correspondences import Correspondences
 from bask_data.kinds.descriptor import DescriptorNet
+from bask_data.kinds.identities import Identities
 from bask_data.kinds.keypoints import KeypointTrack
 from bask_data.kinds.masks import VisibleMasks
 from bask_data.kinds.objects import ObjectInstances
@@ -67,6 +68,11 @@ def _correspondences(documents: Sequence[Any]) -> str:
     )
 
 
+def _identities(documents: Sequence[Any]) -> str:
+    counts = [(len(metadata.identities), len(metadata.unknown)) for metadata in documents]
+    return "; ".join(f"{_counted(n, 'object')} in several scans, {n_unknown} unknown" for n, n_unknown in counts)
+
+
 def _descriptors(documents: Sequence[Any]) -> str:
     return "; ".join(
         ", ".join([*_validation(metadata.metrics), f"on {metadata.validated_on}"])
@@ -120,6 +126,7 @@ HEADLINES: dict[type[Artifact], Callable[[Sequence[Any]], str]] = {
     ObjectInstances: _objects,
     VisibleMasks: _masks,
     Correspondences: _correspondences,
+    Identities: _identities,
     DescriptorNet: _descriptors,
     ReferenceKeypoints: _references,
     KeypointTrack: _tracks,

@@ -9,6 +9,7 @@ from bask_data.kinds import (
     KINDS,
     Correspondences,
     DescriptorNet,
+    Identities,
     KeypointTrack,
     ObjectInstances,
     Reconstruction,
@@ -85,6 +86,10 @@ METRICS = {"loss": 0.2, "validation_median_error_px": 2.25, "validation_pck_4": 
                 stating(KeypointTrack, names=["a"], filter="truth"),
             ],
             "1 to 2 keypoints in 2 demonstrations, by particle, truth",
+        ),
+        (
+            [stating(Identities, identities=[], unknown=[{"scene": "a", "instance": 1, "why": "no partner"}])],
+            "0 objects in several scans, 1 unknown",
         ),
         ([Scan("nowhere")], ""),
         ([], ""),

@@ -1,0 +1,153 @@
+"""Identities: which objects of different scans are the same one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from bask_data.artifact import Artifact, Metadata
+from bask_data.kinds.arrays import start
+from bask_data.kinds.tables import read_table, write_table
+from bask_data.specs import TableSpec
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+LEAST_SIMILAR = 0.01
+"""Probability from which the most similar object of an unknown one is worth a word. Chosen."""
+
+
+class MemberRow(Metadata):
+    """An object of a scan.
+
+    Args:
+        scene, instance: name of the scan, and the object's id there.
+        confidence: probability that it is the same as the other members.
+    """
+
+    scene: str
+    instance: int
+    confidence: float
+
+
+class IdentityRow(Metadata):
+    """One object that several scans show.
+
+    Args:
+        id: number, from 1; those that more scans show come first.
+        name: as stated; empty if none was.
+        twins: whether some scan has two objects of this look, so that which one is which cannot be told.
+    """
+
+    id: int
+    name: str = ""
+    twins: bool = False
+    members: list[MemberRow]
+
+
+class UnknownRow(Metadata):
+    """An object that was matched with none.
+
+    Args:
+        why: no partner: no other scan has a likely one; tie: several are about as likely and exclude each other.
+        similar: the most similar object of another scan, SCENE/ID; empty if there is no other scan.
+        confidence: probability that it is the same.
+        name: as stated.
+    """
+
+    scene: str
+    instance: int
+    why: Literal["no partner", "tie"]
+    similar: str = ""
+    confidence: float = 0.0
+    name: str = ""
+
+
+class IdentitiesMetadata(Metadata):
+    """Identities, objects without one, and warnings for the user."""
+
+    identities: list[IdentityRow]
+    unknown: list[UnknownRow]
+    warnings: list[str] = []
+
+
+class Identities(Artifact):
+    """Objects that several scans show, with the evidence of every pair and a picture of each object."""
+
+    kind = "identities"
+    scope = "dataset"
+    has_variants = True
+    metadata_model = IdentitiesMetadata
+    tables = {
+        "pairs.parquet": TableSpec(
+            {
+                "scene_a": ("string", "scan of the first object"),
+                "instance_a": ("int32", "its id there"),
+                "scene_b": ("string", "scan of the second object"),
+                "instance_b": ("int32", "its id there"),
+                "colour": ("float32", "difference in chromaticity, 0 to 1, less under another light"),
+                "appearance": ("float32", "one minus the cosine between the network's features"),
+                "size": ("float32", "mean absolute logarithm of the ratios of the two longest edges"),
+                "log_odds": ("float32", "that both are the same object"),
+            }
+        )
+    }
+    files = {"identities.png": "views of each object, a row per identity; 1 x 1 pixel if there are no objects"}
+
+    @property
+    def identities(self) -> list[IdentityRow]:
+        """The objects that several scans show."""
+        return self.metadata.identities
+
+    def of_instances(self) -> dict[tuple[str, int], IdentityRow]:
+        """The identity by scan and id of an object; those without one are missing."""
+        return {(member.scene, member.instance): row for row in self.identities for member in row.members}
+
+    def pairs(self) -> pa.Table:
+        """The evidence of each pair of objects."""
+        return read_table(self, "pairs.parquet")
+
+    def summary(self) -> list[str]:
+        """A line for each identity, then the unknown objects."""
+        lines = [_line(row) for row in self.identities]
+        lines += [
+            f"unknown  {row.scene}/{row.instance}: {row.why}"
+            + (
+                f", most similar {row.similar} ({percent(row.confidence)})"
+                if row.similar and row.confidence >= LEAST_SIMILAR
+                else ""
+            )
+            for row in self.metadata.unknown
+        ]
+        return [*lines, f"look at {self.path / 'identities.png'}"]
+
+    @staticmethod
+    def write(
+        out: Path,
+        *,
+        identities: list[IdentityRow],
+        unknown: list[UnknownRow],
+        pairs: dict[str, list[object]],
+        picture: bytes,
+        warnings: list[str],
+    ) -> None:
+        """Write identities, unknown objects, the evidence by column, and the picture, a PNG file's bytes."""
+        metadata = {
+            "identities": [row.model_dump() for row in identities],
+            "unknown": [row.model_dump() for row in unknown],
+            "warnings": warnings,
+        }
+        start(out, Identities, metadata)
+        write_table(out, Identities, "pairs.parquet", pairs)
+        (out / "identities.png").write_bytes(picture)
+
+
+def percent(confidence: float) -> str:
+    """A probability in percent, rounded down: 100 % would claim too much."""
+    return f"{int(100 * confidence)}%"
+
+
+def _line(row: IdentityRow) -> str:
+    members = ", ".join(f"{member.scene}/{member.instance} {percent(member.confidence)}" for member in row.members)
+    return f"{row.id:>3}  {row.name or 'no name'}{' (twins)' if row.twins else ''}: {members}"
