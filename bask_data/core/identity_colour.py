@@ -13,7 +13,7 @@ CHROMA_RANGE = 0.6
 """Opponent colours beyond which pixels fall into the outermost bins; those of a pure primary are 1 and 0.5."""
 LIGHTNESS_BINS = 16
 """Bins of the histogram of grey levels. Chosen, sensitivity not measured."""
-SMOOTHING = (1.0, 1.5)
+BLURS = (1.0, 1.5)
 """Standard deviation of the blur of either histogram, bins: that of chromaticity is the shift by a change of 10 %
 between two channels. Chosen, sensitivity not measured."""
 DIM_PIXEL = 60.0
@@ -45,8 +45,7 @@ def colour_histogram(pixels: UInt8[ndarray, "n 3"]) -> Float[ndarray, "b"]:
     chroma = np.histogram2d(inside[:, 0], inside[:, 1], bins=(edges, edges), weights=weights)[0]
     lightness = np.histogram(total / 3, bins=LIGHTNESS_BINS, range=(0, 256))[0].astype(np.float64)
     chroma, lightness = (
-        gaussian_filter(counts, width, mode="nearest")
-        for counts, width in zip((chroma, lightness), SMOOTHING, strict=True)
+        gaussian_filter(counts, width, mode="nearest") for counts, width in zip((chroma, lightness), BLURS, strict=True)
     )
     return np.concatenate([np.sqrt(chroma / chroma.sum()).ravel(), np.sqrt(lightness / lightness.sum())])
 

@@ -16,7 +16,7 @@ from bask_data.stages.identity_views import SeenObject, seen_objects
 if TYPE_CHECKING:
     import numpy as np
 
-    from bask_data.core.identity_groups import IdentityGroup, Grouping
+    from bask_data.core.identity_groups import Grouping, IdentityGroup
 
 
 @stage(makes=Identities, version=1, on_request=True)
