@@ -18,7 +18,7 @@ from scipy.optimize import nnls
 
 from bask_data.core.geometry import invert_rigid, view_change
 from bask_data.core.sensor_alignment import Alignment, aligned
-from bask_data.core.sensor_frames import FrameMeasures
+from bask_data.core.sensor_frames import BlockPoints, FrameMeasures
 
 SAME_VIEW = (5e-5, 1e-4)
 """Metres and radians within which poses are the same: below the noise of encoders and of tracking."""
@@ -35,6 +35,9 @@ ABOVE_USUAL = 3.0
 
 LOST = 0.3
 """Share of the landing points that must meet a surface; below it two frames with the same surface in view disagree."""
+
+LEAST_SURFACE = 0.1
+"""Least share of an image's blocks with a surface for its lack in another frame to say anything."""
 
 N_FAR = 40
 """Pairs of frames far apart in time. Sensitivity not measured."""
@@ -108,7 +111,7 @@ class NeighbourPairs:
 
     def __init__(self, frames: Sequence[FrameMeasures], world_from_cameras: Float[ndarray, "t 4 4"]) -> None:
         self.frames = frames
-        self._poses = world_from_cameras[[frame.index for frame in frames]]
+        self.poses = world_from_cameras[[frame.index for frame in frames]]
         self._pairs: dict[tuple[int, int], FramePair] = {}
 
     def __len__(self) -> int:
@@ -117,7 +120,7 @@ class NeighbourPairs:
     def pair(self, i: int, j: int) -> FramePair:
         """The pair of two measured frames."""
         if (i, j) not in self._pairs:
-            a, b = self._poses[i], self._poses[j]
+            a, b = self.poses[i], self.poses[j]
             found = aligned(self.frames[i].blocks, self.frames[j].blocks, invert_rigid(b) @ a)
             distance, angle = view_change(a, b)
             self._pairs[i, j] = FramePair(i, j, found, float(distance), float(angle))
@@ -154,18 +157,31 @@ def _same_pose(pair: FramePair) -> bool:
     return pair.distance < SAME_VIEW[0] and pair.angle < SAME_VIEW[1]
 
 
+def same_pose_runs(world_from_cameras: Float[ndarray, "t 4 4"]) -> list[tuple[int, int]]:
+    """First and last frame of each stretch of frames of one pose."""
+    distance, angle = view_change(world_from_cameras[:-1], world_from_cameras[1:])
+    same = (distance < SAME_VIEW[0]) & (angle < SAME_VIEW[1])
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same, [0]])))
+    return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
+
+
+def surfaces_apart(a: BlockPoints, b: BlockPoints) -> float:
+    """Metres by which the surfaces of two frames of one pose lie apart beyond what counts as measured; 0 below that,
+    and infinite where they have nothing in common."""
+    found = aligned(a, b, np.eye(4))
+    if found is None:
+        shares = [np.isfinite(blocks.normals[..., 0]).mean() for blocks in (a, b)]
+        return float("inf") if min(shares) > LEAST_SURFACE else 0.0
+    return found.moved if found.moved > LEAST_OFF[0] + LEAST_OFF[1] * found.depth else 0.0
+
+
 def repeated_poses(pairs: NeighbourPairs) -> list[WrongPose]:
     """Runs of frames of one pose whose surfaces are not those of one view."""
-    runs, start = [], 0
-    for k in range(1, len(pairs) + 1):
-        if k < len(pairs) and _same_pose(pairs.pair(k - 1, k)):
-            continue
-        if k - 1 > start and k - start < len(pairs):
-            runs.append((start, k - 1))
-        start = k
     usual = pairs.usual
     wrong = []
-    for first, last in runs:
+    for first, last in same_pose_runs(pairs.poses):
+        if last - first + 1 == len(pairs):
+            continue
         # What rests in view of a robot moves itself at times; a pose that hangs moves all of the image, over and over.
         ends = pairs.pair(first, last)
         if ends.moved > pairs.limit(ends) or (ends.found is None and _has_surface(pairs, ends)):
@@ -177,7 +193,7 @@ def repeated_poses(pairs: NeighbourPairs) -> list[WrongPose]:
 
 def _has_surface(pairs: NeighbourPairs, pair: FramePair) -> bool:
     shares = [np.isfinite(pairs.frames[k].blocks.normals[..., 0]).mean() for k in (pair.i, pair.j)]
-    return min(shares) > 0.1
+    return min(shares) > LEAST_SURFACE
 
 
 def off_frames(pairs: NeighbourPairs) -> list[WrongPose]:
@@ -245,7 +261,7 @@ def far_pairs(pairs: NeighbourPairs) -> list[FramePair]:
     i, j = np.triu_indices(n, max(4, n // 4))
     if not len(i):
         return []
-    poses = pairs._poses
+    poses = pairs.poses
     distance, angle = view_change(poses[i], poses[j])
     depth = np.array([frame.typical_depth for frame in pairs.frames])
     distance = distance / np.fmin(depth[i], depth[j])

@@ -22,7 +22,7 @@ Read = Callable[[int], "tuple[np.ndarray, np.ndarray]"]
 MOST_DECODED = 80
 """Frames decoded of a recording by default; longer ones are sampled. Chosen to bound time."""
 
-RESTING = 3
+LEAST_RESTING = 3
 """Repeated frames below which a robot's waiting is not worth a note."""
 
 
@@ -111,7 +111,7 @@ def _image_findings(place: str, frames: Sequence[FrameMeasures], world_from_came
                 "record depth at the rate of colour, or leave these frames out: --frames.",
             )
         )
-    if len(repeats.all) >= RESTING:
+    if len(repeats.all) >= LEAST_RESTING:
         findings.append(
             Finding(
                 "frames-resting", place, f"{frames_in_words(repeats.all)} change nothing", "cut them off: --frames."

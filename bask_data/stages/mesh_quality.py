@@ -111,15 +111,23 @@ def assessed(
     return Assessment(rows, from_behind, _unmeasured(frames, notes, comparison.surface, bounds))
 
 
-def suspects_of(frames: list[FrameOfCamera], fits: list[Fit]) -> set[tuple[str, int]]:
-    """Camera and number of the frames that the mesh explains far worse than others of the same camera."""
+def suspects_of(frames: list[FrameOfCamera], fits: list[Fit], hung: set[tuple[str, int]]) -> set[tuple[str, int]]:
+    """Camera and number of the frames that the mesh explains far worse than others of the same camera.
+
+    Args:
+        hung: frames whose pose hangs, by `hanging_poses`. They are suspects, and no others are compared with them.
+    """
     import numpy as np
 
     from bask_data.core import fit
 
-    found: set[tuple[str, int]] = set()
+    found = set(hung)
     for name in {camera.name for camera, _ in frames}:
-        own = [(i_frame, one) for (camera, i_frame), one in zip(frames, fits, strict=True) if camera.name == name]
+        own = [
+            (i_frame, one)
+            for (camera, i_frame), one in zip(frames, fits, strict=True)
+            if camera.name == name and (name, i_frame) not in hung
+        ]
         odd = fit.outliers(
             np.array([one.n_judged for _, one in own]),
             np.array([one.explained for _, one in own]),
@@ -147,8 +155,8 @@ def _unmeasured(
     ]
 
 
-def warnings_of(assessment: Assessment, near: float, far: float) -> list[str]:
-    """Warnings for the user, with what to do."""
+def warnings_of(assessment: Assessment, near: float, far: float, hung: set[tuple[str, int]]) -> list[str]:
+    """Warnings for the user, with what to do, but for those of the frames whose pose hangs."""
     rows, warnings = assessment.rows, []
     if blind := [row for row in rows if row.valid_depth == 0]:
         warnings.append(
@@ -161,7 +169,7 @@ def warnings_of(assessment: Assessment, near: float, far: float) -> list[str]:
             f"only {usual:.0%} of the depth lies on the surface, it is off by {100 * error:.1f} cm in the median: "
             "check the camera poses, the depth scale and the intrinsics, or the sensor is that noisy."
         )
-    if suspects := [row for row in rows if row.suspect]:
+    if suspects := [row for row in rows if row.suspect and (row.camera, row.frame) not in hung]:
         figures = ", ".join(
             f"{row.camera} {row.frame} ({row.explained:.0%} of its depth on the surface, off by "
             f"{row.residual_abs * 100:.1f} cm)"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,6 +22,7 @@ from bask_data.stages.fusion_memory import (
     resident_bytes,
     too_large,
 )
+from bask_data.stages.hanging_poses import hanging_poses, hanging_warnings
 from bask_data.stages.mesh_quality import (
     N_SEARCHED,
     FrameOfCamera,
@@ -91,7 +93,7 @@ class ReconstructParams(Params):
         return box
 
 
-@stage(makes=Reconstruction, version=3)
+@stage(makes=Reconstruction, version=4)
 def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
     """Fuse a scan's depth images into a triangle mesh.
 
@@ -102,11 +104,13 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
         raise UsageError("reconstruct", "near", expected=f"less than far ({params.far} m)", got=f"{params.near} m")
     excluded = _excluded(scan, params)
     frames = _frames(scan, params, excluded)
+    hanging = hanging_poses(frames)
+    hung = {(each.camera, i_frame) for each in hanging for i_frame in each.frames}
     survey = _survey(scan, frames, params)
-    fusion = _fused(scan, frames, survey, params)
+    fusion = _fused(scan, frames, survey, params, hung if params.drop_suspects else set())
     comparison = compared(frames, fusion.notes, fusion.judge, survey.bounds)
-    suspects = suspects_of(frames, comparison.fits)
-    dropped = params.drop_suspects and 0 < len(suspects) <= DROPPED_SHARE * len(frames)
+    suspects = suspects_of(frames, comparison.fits, hung)
+    dropped = params.drop_suspects and 0 < len(suspects - hung) <= DROPPED_SHARE * len(frames)
     mesh = fusion.mesh
     if dropped:
         good = [(camera, i_frame) for camera, i_frame in frames if (camera.name, i_frame) not in suspects]
@@ -129,7 +133,10 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
             frames_of_distinct_views=len(frames),
             frames_fused=sum(row.fused for row in assessment.rows),
             frames_without_depth=sum(note.valid_depth == 0 for note in fusion.notes),
-            frames_without_depth_in_the_workspace=sum(not note.fused for note in fusion.notes),
+            frames_without_depth_in_the_workspace=sum(
+                not note.fused and (camera.name, i_frame) not in hung
+                for (camera, i_frame), note in zip(frames, fusion.notes, strict=True)
+            ),
             frames_suspect=len(suspects),
             workspace="estimated" if params.workspace is None else "given",
             voxel_blocks=fusion.n_blocks,
@@ -140,7 +147,8 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
         ),
         frames=assessment.rows,
         unmeasured=assessment.unmeasured,
-        warnings=warnings_of(assessment, params.near, params.far),
+        warnings=hanging_warnings(hanging, params.drop_suspects)
+        + warnings_of(assessment, params.near, params.far, hung),
     )
 
 
@@ -249,7 +257,14 @@ class _Fusion:
     n_blocks: int
 
 
-def _fused(scan: Scan, frames: list[FrameOfCamera], survey: Survey, params: ReconstructParams) -> _Fusion:
+def _fused(
+    scan: Scan,
+    frames: list[FrameOfCamera],
+    survey: Survey,
+    params: ReconstructParams,
+    left_out: Set[tuple[str, int]] = frozenset(),
+) -> _Fusion:
+    """The frames fused, without those left out, of which there is a note only."""
     import numpy as np
 
     from bask_data.core import depth, fit, tsdf
@@ -264,7 +279,7 @@ def _fused(scan: Scan, frames: list[FrameOfCamera], survey: Survey, params: Reco
         raw = camera.depth(i_frame)
         measured = depth.cleaned(raw, params.near, params.far)
         try:
-            fused = volume.integrate(
+            fused = (camera.name, i_frame) not in left_out and volume.integrate(
                 measured, camera.rgb(i_frame), camera.Ks[i_frame], camera.world_from_cameras[i_frame]
             )
         except tsdf.VolumeTooLarge as error:

@@ -18,7 +18,7 @@ from bask_data.stages.reconstruct import reconstruct
 from tests.datasets import publish_artifact, publish_recording
 from tests.scenes import Box, Plane, Scene, Sphere, intrinsics, look_at, noisy, orbit
 
-GOLDEN = Path(__file__).parent / "golden" / "reconstruct_v3.npz"
+GOLDEN = Path(__file__).parent / "golden" / "reconstruct_v4.npz"
 HEIGHT, WIDTH = 96, 128
 K = intrinsics(HEIGHT, WIDTH)
 SCENE = Scene(
@@ -244,6 +244,44 @@ def test_a_frame_with_a_wrong_pose_stands_out_and_is_left_out(tmp_path: Path, i_
     assert (quality.frames, quality.frames_excluded, quality.frames_fused, quality.frames_suspect) == (12, 1, 11, 0)
     assert without.metadata.warnings == []
     assert without.vertices.tobytes() == mesh.vertices.tobytes()
+
+
+def with_hanging_tail(root: Path, n_frames: int, first: int) -> Dataset:
+    """A scan whose poses stay those of frame `first` until the end, though the camera moves on."""
+    dataset = Dataset.create(root)
+    rng, cameras = np.random.default_rng(0), orbit(n_frames, radius=0.5, n_turns=0.5)
+    views = [SCENE.render(K, camera, HEIGHT, WIDTH) for camera in cameras]
+    depth = [noisy(view.depth, 0.001, rng) for view in views]
+    cameras = cameras[np.minimum(np.arange(n_frames), first)]
+    publish_recording(dataset, "a", rgb=[view.rgb for view in views], depth=depth, K=K, world_from_cameras=cameras)
+    return dataset
+
+
+def test_a_tail_of_hanging_poses_is_left_out_and_no_good_frame_with_it(tmp_path: Path) -> None:
+    dataset = with_hanging_tail(tmp_path / "d", 14, 8)
+    mesh = result(dataset)
+    frames = mesh.frames.to_pydict()
+    assert [frame for frame, odd in zip(frames["frame"], frames["suspect"], strict=True) if odd] == [9, 10, 11, 12, 13]
+    assert frames["fused"] == [frame < 9 for frame in frames["frame"]]
+    [warning] = mesh.metadata.warnings
+    assert warning.startswith("frames 9-13 of wrist have the pose of frame 8, but the surface moved by ")
+    assert np.median(SCENE.surface_distance(mesh.vertices.astype(float))) < 0.5 * 0.006
+    kept = result(dataset, drop_suspects=False)
+    assert kept.metadata.quality.frames_fused == 14
+    assert any(one.endswith("To leave them out: --exclude wrist:9-13") for one in kept.metadata.warnings)
+
+
+def test_a_camera_that_pauses_or_rests_keeps_its_frames(tmp_path: Path) -> None:
+    dataset = Dataset.create(tmp_path / "d")
+    cameras = orbit(6, radius=0.5)[[0, 1, 2, 2, 2, 2, 3, 4, 5]]
+    depth = [
+        noisy(SCENE.render(K, camera, HEIGHT, WIDTH).depth, 0.001, np.random.default_rng(i))
+        for i, camera in enumerate(cameras)
+    ]
+    rgb = [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * 9
+    publish_recording(dataset, "a", rgb=rgb, depth=depth, K=K, world_from_cameras=cameras)
+    quality = result(dataset).metadata.quality
+    assert (quality.frames_fused, quality.frames_suspect) == (9, 0)
 
 
 def test_a_suspect_frame_is_kept_when_asked_and_doubles_the_surface(tmp_path: Path) -> None:
