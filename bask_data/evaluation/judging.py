@@ -109,7 +109,9 @@ def _of_scenes(dataset: Dataset, measured: Measured) -> list[StageVerdict]:
             "Objects",
             scenes,
             lambda name, made: of_scene.without_depth(
-                of_scene.objects_judgement(name, made.metadata, is_confirmed=labels_confirm(labels(name))),
+                of_scene.objects_judgement(
+                    name, made.metadata, made.findings(), is_confirmed=labels_confirm(labels(name))
+                ),
                 n_unmeasured(name),
             ),
             "bask-data run ROOT",

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from bask_data.kinds.objects import ObjectsMetadata
     from bask_data.kinds.reconstruction import ReconstructionMetadata
 
-_HARMLESS = re.compile(r"objects that nearly touch|have no depth between")
+_OBJECT_OPTIONS = {"support-uncertain": "--up 0,0,1", "objects-touch": "--eps 0.01"}
+"""What to try about what is doubtful, if the picture shows that it is wrong."""
+_HARMLESS = re.compile(r"have no depth between")
 """Warnings of stages that need no look: what they tell is in a section of its own."""
 _UNSEEN = re.compile(r"most pixels that are none: (?:hidden|outside)_in_b|: outside_b")
 """Objects with few matches as other things hide them: nothing is wrong with them."""
@@ -58,35 +60,33 @@ def reconstruction_judgement(item: str, metadata: ReconstructionMetadata) -> Ite
     return ItemVerdict(item, evidence, usual.EXPLAINED.text, explained, tuple(findings))
 
 
-def objects_judgement(item: str, metadata: ObjectsMetadata, *, is_confirmed: bool = False) -> ItemVerdict:
-    """Objects by their number and by what the stage noted about them.
+def objects_judgement(
+    item: str, metadata: ObjectsMetadata, told: Sequence[Finding] = (), *, is_confirmed: bool = False
+) -> ItemVerdict:
+    """Objects by their number and by what is doubtful about them.
 
     Args:
-        is_confirmed: whether labels confirm that each object is one, so that warnings of merged ones need no look.
+        told: what the artifact itself finds.
+        is_confirmed: whether labels confirm that each object is one, so that hollow ones need no look.
     """
-    n = len(metadata.instances)
-    findings = [
-        Finding("objects-doubtful", item, text, _mending_of(text, item))
-        for text in metadata.warnings
-        if not _HARMLESS.search(text) and not (is_confirmed and text.startswith("hollow"))
-    ]
-    if not n:
-        findings = [Finding("objects-none", item, "nothing was found on the support", _mending_of("support", item))]
-    return ItemVerdict(item, f"{n} object{'' if n == 1 else 's'}", "as many as you see", float(n), tuple(findings))
-
-
-def _mending_of(warning: str, item: str) -> str:
-    """The command for a warning of `objects`, and the condition for it."""
     command = f"bask-data objects ROOT --only {item}"
-    for word, condition, option in (
-        ("touch", "if one colour covers several things", "--eps 0.01"),
-        ("longer than", "if objects are missing", "--max-extent 1"),
-        ("support", "if the grey plane is not what the objects stand on", "--up 0,0,1"),
-        ("plane", "if the grey plane is not what the objects stand on", "--up 0,0,1"),
-    ):
-        if word in warning:
-            return f"{condition}: {command} {option}"
-    return f"look: bask-data view ROOT --only {item}"
+    findings = [
+        replace(each, fix=f"{command} {_OBJECT_OPTIONS[each.code]}" if each.code in _OBJECT_OPTIONS else each.fix)
+        for each in told
+        if each.code != "no-object" and not (is_confirmed and each.code == "objects-touch")
+    ]
+    findings += [
+        Finding("objects-doubtful", item, text, f"if something is missing: {command} --max-extent 1")
+        for text in metadata.warnings
+        if "became background" in text
+    ]
+    n, n_flagged = len(metadata.instances), sum(bool(row.flags) for row in metadata.instances)
+    if not n:
+        fix = f"look at the surface; if the support is not found: {command} --up 0,0,1"
+        findings = [Finding("objects-none", item, "nothing was found on the support", fix)]
+    flagged = f", {n_flagged} of them flagged and not trained on" if n_flagged else ""
+    evidence = f"{n} object{'' if n == 1 else 's'}{flagged}"
+    return ItemVerdict(item, evidence, "as many as you see", float(n), tuple(findings))
 
 
 def masks_judgement(item: str, metadata: MasksMetadata, labels: Sequence[Mapping[str, Any]] = ()) -> ItemVerdict:

@@ -115,9 +115,10 @@ def objects(chosen: Chosen) -> list[Part]:
             {
                 "colour": css(instance_colour(row["id"])),
                 **row,
+                "reasons": instance.reasons,
                 "extents_cm": " × ".join(f"{100 * edge:.1f}" for edge in row["extents"]),
             }
-            for row in numbers["instances"][:N_ROWS]
+            for instance, row in zip(instances.instances, numbers["instances"][:N_ROWS], strict=False)
         ]
         fits = mesh is not None and len(mesh.vertices) == len(instances.vertex_instance)
         return {

@@ -124,18 +124,25 @@ def test_surfaces_are_judged_by_the_depth_on_them_and_by_what_is_missing(judgeme
     assert (judgement.verdict, codes(judgement)) == (verdict, found)
 
 
-def objects(n: int, warnings: list[str], *, is_confirmed: bool = False) -> ItemVerdict:
-    row = InstanceRow(id=1, n_vertices=9, area_m2=0.01, centroid=(0, 0, 0), extents=(0.1, 0.1, 0.1))
-    metadata = ObjectsMetadata(instances=[row] * n, warnings=warnings)
-    return of_scene.objects_judgement("table", metadata, is_confirmed=is_confirmed)
+def objects(n: int, *told: Finding, flags: tuple = (), is_confirmed: bool = False) -> ItemVerdict:
+    row = InstanceRow(id=1, n_vertices=9, area_m2=0.01, centroid=(0, 0, 0), extents=(0.1, 0.1, 0.1), flags=list(flags))
+    return of_scene.objects_judgement("table", ObjectsMetadata(instances=[row] * n), told, is_confirmed=is_confirmed)
 
 
 def test_objects_fail_without_any_and_deserve_a_look_when_hollow_unless_labels_confirm_them():
-    hollow = ["hollow, or several objects that touch: 1 (66% of it lies inside its hull)"]
-    assert codes(objects(0, [])) == ["objects-none"]
+    hollow = Finding(
+        "objects-touch", "table", "share of the surface inside the hull: object 1 (66%)", "move them apart"
+    )
+    assert codes(objects(0, Finding("no-object", "table", "none"))) == ["objects-none"]
     assert (objects(2, hollow).verdict, objects(2, hollow, is_confirmed=True).verdict) == ("look", "pass")
-    assert objects(2, hollow).findings[0].fix.endswith("bask-data objects ROOT --only table --eps 0.01")
-    assert objects(2, ["objects that nearly touch: 1 and 2 (2.2 cm)"]).verdict == "pass"
+    assert objects(2, hollow).findings[0].fix == "bask-data objects ROOT --only table --eps 0.01"
+    assert objects(2, Finding("object-one-side", "table", "seen from one side")).verdict == "pass"
+
+
+def test_flagged_objects_are_counted_and_deserve_a_look():
+    cut = Finding("object-cut", "table object 1", "cut by the border of what was seen", "a wider view")
+    judgement = objects(2, cut, flags=("cut",))
+    assert (judgement.verdict, judgement.evidence) == ("look", "2 objects, 2 of them flagged and not trained on")
 
 
 def masks(pixels: dict[str, int], labels: list[dict] | None = None) -> ItemVerdict:
