@@ -7,6 +7,7 @@ from a camera on a stand: noise alone differs, and something was moved.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -18,21 +19,23 @@ from numpy import ndarray
 
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
+from bask_data.evaluation.lookup import spread_frames
 from bask_data.findings import Finding
 from bask_data.kinds import Camera, Demonstration, Recording, Scan
 
 N_LOOKED_FOR = 6
 """Frames of the shorter recording that are looked for in the longer one. Sensitivity not measured."""
 
-ALIKE_SHARE = 0.8
-"""Share of them that must be found: the ends may have been cut. Sensitivity not measured."""
+ALIKE_SHARE = 1 / 3
+"""Share of them that must be found, and at least two: recordings of which a part is the same leak as well. Sensitivity
+not measured."""
 
 COMPARED_SIZE = (48, 36)
 """Width and height of compared images, pixels: small, so that encoding and scaling hardly matter."""
 
-ALIKE_LEVELS = 4.0
-"""Largest 98th percentile of the difference between two thumbnails of the same image, grey levels: JPEG of quality 50
-and scaling by half give up to 3 on textured images. An object of 2 % of the image that was moved gives more."""
+ALIKE = {98.0: 4.0, 99.7: 14.0}
+"""Largest percentiles of the difference between two thumbnails of the same image, grey levels: JPEG of quality 50 and
+scaling by half give up to 3 and 8 on textured images. An object of 0.5 % of the image that was moved gives more."""
 
 LEAST_TEXTURE = 6.0
 """Standard deviation of a thumbnail, grey levels, below which it has nothing to compare. Sensitivity not measured."""
@@ -73,10 +76,13 @@ def twin_findings(dataset: Dataset) -> list[Finding]:
         paired: set[tuple[str, str]] = set()
         for one, other in combinations(films, 2):
             names = (one.name, other.name)
-            if one.name == other.name or names in paired or not _are_twins(one, other):
+            if one.name == other.name or names in paired:
                 continue
-            paired.add(names)
-            findings.append(_finding(dataset, names, split_of))
+            n_found, n = _shared(one, other)
+            if n_found:
+                paired.add(names)
+                evidence = f"{n_found} of {n} frames that were looked for are in both"
+                findings.append(_finding(dataset, names, split_of, evidence))
     return findings
 
 
@@ -89,10 +95,9 @@ def _listed_twice(dataset: Dataset) -> Iterator[Finding]:
             yield Finding("split-leak", name, f"it is in the splits {one} and {other}", fix)
 
 
-def _finding(dataset: Dataset, names: tuple[str, str], split_of: dict[str, str]) -> Finding:
+def _finding(dataset: Dataset, names: tuple[str, str], split_of: dict[str, str], evidence: str) -> Finding:
     one, other = names
     place, splits = f"{one} and {other}", [split_of.get(name, "") for name in names]
-    evidence = "the same images, frame by frame, as far as compared"
     if all(splits) and splits[0] != splits[1]:
         fix = f"bask-data split {dataset.root}: put both into one split, or leave one out"
         return Finding("split-leak", place, f"{evidence}; {one} is for {splits[0]}, {other} for {splits[1]}", fix)
@@ -116,23 +121,20 @@ def _films(dataset: Dataset, kind: type[Recording], item: str) -> Iterator[_Film
         return  # It is reported as damaged.
 
 
-def _are_twins(one: _Film, other: _Film) -> bool:
-    """Whether most of some frames of the shorter are found in the longer."""
+def _shared(one: _Film, other: _Film) -> tuple[int, int]:
+    """How many of some frames of the shorter are found in the longer, and of how many; 0 if they are too few."""
     short, long = sorted((one, other), key=lambda film: film.camera.n_frames)
-    n = short.camera.n_frames
-    wanted = np.unique(np.linspace(0, n - 1, N_LOOKED_FOR + 2)[1:-1].round().astype(int)).tolist()
-    missed, found = 0, []
-    for i in wanted:
+    wanted = spread_frames(short.camera.n_frames, N_LOOKED_FOR + 2)[1:-1] or [0]
+    least = min(len(wanted), max(2, math.ceil(ALIKE_SHARE * len(wanted))))
+    n_found = 0
+    for k, i in enumerate(wanted):
         try:
-            if _is_found(short, i, long):
-                found.append(i)
-            else:
-                missed += 1
+            n_found += _is_found(short, i, long)
         except BadData:
-            return False
-        if missed > (1 - ALIKE_SHARE) * len(wanted):
-            return False
-    return bool(found)
+            return 0, len(wanted)
+        if n_found + len(wanted) - k - 1 < least:
+            return 0, len(wanted)
+    return n_found, len(wanted)
 
 
 def _is_found(short: _Film, i: int, long: _Film) -> bool:
@@ -145,7 +147,7 @@ def _is_found(short: _Film, i: int, long: _Film) -> bool:
 
 def are_alike(a: Float32[ndarray, "h w"], b: Float32[ndarray, "h w"]) -> bool:
     """Whether two thumbnails are of the same image."""
-    return float(np.percentile(np.abs(a - b), 98)) < ALIKE_LEVELS
+    return bool((np.percentile(np.abs(a - b), list(ALIKE)) < list(ALIKE.values())).all())
 
 
 def _places(camera: Camera, i: int, other: Camera) -> list[int]:
