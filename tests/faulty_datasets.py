@@ -137,7 +137,7 @@ def _robot(n_frames: int, still: bool) -> Robot:
 
 def _triangle_per_object() -> tuple[np.ndarray, np.ndarray]:
     vertices = np.array([[i, *corner] for i in range(3) for corner in ((0, 0), (0.1, 0), (0, 0.1))], np.float32)
-    return vertices * [0.1, 1, 1], np.arange(9, dtype=np.int32).reshape(3, 3)
+    return vertices * np.array([0.1, 1, 1], np.float32), np.arange(9, dtype=np.int32).reshape(3, 3)
 
 
 def _publish_objects(dataset: Dataset, name: str, rows: list[InstanceRow]) -> None:
