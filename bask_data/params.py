@@ -99,7 +99,8 @@ def first_fault(error: ValidationError) -> tuple[str, str, str]:
 
 
 def _field(location: tuple[int | str, ...]) -> str:
-    field = ".".join(map(str, location))
+    # A choice whose tag is empty is the usual one, and no part of the name.
+    field = ".".join(str(part) for part in location if part != "")
     return f"{field[:_MOST_SHOWN]}..." if len(field) > _MOST_SHOWN else field  # Deeply nested JSON.
 
 

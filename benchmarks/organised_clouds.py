@@ -8,10 +8,10 @@ The F-score of an object and an instance is 2 |A and B| / (|A| + |B|), where A a
 ones. The best one-to-one assignment of instances to objects counts. The F-score of a scene is the mean over its
 objects, a missed one with 0; surplus instances are counted in a column of their own.
 
-In a single view an occluder may cut an object into distant parts. The labels distinguish these (20, 21, ...), a split
-by gaps cannot join them: *by part* is the mean over connected parts, *strict* the one over whole objects with a 0 for
-each instance that belongs to none. Objects *touch* when a point of one is within eps of a point of another: a split
-by gaps cannot separate those, and they are not part of the mean.
+In a single view an occluder may cut an object into distant parts. The labels distinguish these (20, 21, ...); parts
+whose surface goes on behind the occluder are joined: *by part* is the mean over connected parts, *strict* the one over
+whole objects with a 0 for each instance that belongs to none. Objects *touch* when a point of one is within eps of a
+point of another: a split by gaps cannot separate those, and they are not part of the mean.
 """
 
 from __future__ import annotations
@@ -29,11 +29,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))  # The reader is
 
 from bask_data.core.objects import SplitSettings, split_objects
 from bask_data.core.planes import upward
+from bask_data.core.sightings import PosedDepth
 from bask_data.stages.objects import ObjectsParams
-from tests.organised_clouds import read_pcd, surface_of
+from tests.organised_clouds import CAMERA, read_pcd, surface_of
 
 VOXEL_SIZE = 0.004
 """Metres; what a depth camera resolves at a metre, and the pipeline's default."""
+K = np.array([[CAMERA[0], 0, CAMERA[2]], [0, CAMERA[1], CAMERA[3]], [0, 0, 1]])
 PER_OBJECT, FIRST_OBJECT = 10, 2
 
 
@@ -75,12 +77,11 @@ def main() -> None:
         label = cloud.label[np.isfinite(cloud.points).all(axis=2)].astype(np.int64)
         truth = np.where(label // PER_OBJECT >= FIRST_OBJECT, label // PER_OBJECT, 0)
         begun = time.perf_counter()
-        split = split_objects(
-            vertices,
-            triangles,
-            np.random.default_rng(0),
-            SplitSettings(voxel_size=VOXEL_SIZE, guess_up=upward(np.eye(4)[None]), eps=options.eps),
+        view = PosedDepth(np.nan_to_num(cloud.points[..., 2]), K, np.eye(4))
+        settings = SplitSettings(
+            voxel_size=VOXEL_SIZE, guess_up=upward(np.eye(4)[None]), eps=options.eps, views=(view,)
         )
+        split = split_objects(vertices, triangles, np.random.default_rng(0), settings)
         seconds = time.perf_counter() - begun
         found = split.vertex_instance[label > 0]
         score, strict = f_scores(truth[label > 0], found)

@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
 from numpy import ndarray
 
+from bask_data.core.footprint import Footprint
 from bask_data.core.geometry import transform, unproject
+from bask_data.core.planes import height
+
+TALLEST = 0.6
+"""Metres above a support beyond which nothing stands on it. Assumes a tabletop. Chosen, sensitivity not measured."""
 
 
 def sampled_points(
@@ -24,6 +29,30 @@ def sampled_points(
     v, u = v[::step], u[::step]
     points = unproject(np.stack([u, v], axis=-1).astype(np.float64), depth[v, u].astype(np.float64), K)
     return transform(world_from_camera, points)
+
+
+def workspace_on(
+    support: Float[ndarray, "4"],
+    vertices: Float[ndarray, "n 3"],
+    on_support: Bool[ndarray, "n"],
+    ground: Footprint,
+    margin: float = 0.02,
+) -> Float[ndarray, "2 3"]:
+    """The box (2, 3) around a support and what stands on it, lowest and highest corner, world frame, metres.
+
+    Args:
+        support: plane; n towards the objects.
+        vertices: of the whole surface, metres, world.
+        on_support: those on the plane.
+        ground: the part of the plane that things can stand on.
+        margin: metres added on each side; the default assumes a tabletop.
+    """
+    raised = height(vertices, support)
+    over = ground.above(vertices)
+    chosen = over & (on_support | ((raised > 0) & (raised < TALLEST)))
+    inside = vertices[chosen]
+    lowest, highest = np.percentile(inside, [0.1, 99.9], axis=0)
+    return np.stack([lowest - margin, highest + margin])
 
 
 def estimated_workspace(

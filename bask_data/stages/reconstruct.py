@@ -6,9 +6,9 @@ import re
 from collections.abc import Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator
 
 from bask_data.engine import Params, progress, stage
 from bask_data.errors import BadData, UsageError
@@ -34,6 +34,7 @@ from bask_data.stages.mesh_quality import (
     suspects_of,
     warnings_of,
 )
+from bask_data.stages.proposed_workspace import COARSE, proposed
 
 if TYPE_CHECKING:
     import numpy as np
@@ -52,6 +53,20 @@ DROPPED_SHARE = 0.2
 Chosen, sensitivity not measured."""
 
 
+def _kind_of_workspace(value: object) -> str:
+    """Which of the choices a value is meant to be; an option gives a list of texts."""
+    return "auto" if value in ("auto", ["auto"]) else "none" if value is None else ""
+
+
+Workspace = Annotated[
+    Annotated[tuple[float, float, float, float, float, float], Tag("")]
+    | Annotated[Literal["auto"], BeforeValidator(lambda _: "auto"), Tag("auto")]
+    | Annotated[None, Tag("none")],
+    Discriminator(_kind_of_workspace),
+]
+"""A box, `auto`, or None; errors name the box alone, whose tag is therefore empty."""
+
+
 class ReconstructParams(Params):
     """Parameters of the mesh."""
 
@@ -59,10 +74,10 @@ class ReconstructParams(Params):
     truncation: float = Field(5.0, ge=1, description="Distance around a surface in which the TSDF is kept, voxels.")
     near: float = Field(0.15, ge=0, description="Depth below this is dropped, metres: it is the robot's own gripper.")
     far: float = Field(4.0, gt=0, description="Depth above this is dropped, metres.")
-    workspace: tuple[float, float, float, float, float, float] | None = Field(
+    workspace: Workspace = Field(
         None,
-        description="Box to reconstruct, x_min,y_min,z_min,x_max,y_max,z_max in the world frame, metres. "
-        "Default: estimated from the frames.",
+        description="Box to reconstruct, x_min,y_min,z_min,x_max,y_max,z_max in the world frame, metres; or auto: the "
+        "support, found in a coarse surface, and what stands on it. Default: what several frames see.",
     )
     min_views: int = Field(
         3, ge=1, description="Frames that must have measured a surface; at most a tenth of all frames is required."
@@ -87,8 +102,8 @@ class ReconstructParams(Params):
 
     @field_validator("workspace")
     @classmethod
-    def _low_corner_first(cls, box: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        if box is not None and any(low >= high for low, high in zip(box[:3], box[3:], strict=True)):
+    def _low_corner_first(cls, box: Workspace) -> Workspace:
+        if isinstance(box, tuple) and any(low >= high for low, high in zip(box[:3], box[3:], strict=True)):
             raise ValueError("x_min,y_min,z_min,x_max,y_max,z_max in metres with each minimum below its maximum")
         return box
 
@@ -106,7 +121,9 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
     frames = _frames(scan, params, excluded)
     hanging = hanging_poses(frames)
     hung = {(each.camera, i_frame) for each in hanging for i_frame in each.frames}
-    survey = _survey(scan, frames, params)
+    survey, doubts = (
+        _on_support(scan, frames, params) if params.workspace == "auto" else (_survey(scan, frames, params), [])
+    )
     fusion = _fused(scan, frames, survey, params, hung if params.drop_suspects else set())
     comparison = compared(frames, fusion.notes, fusion.judge, survey.bounds)
     suspects = suspects_of(frames, comparison.fits, hung)
@@ -138,7 +155,7 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
                 for (camera, i_frame), note in zip(frames, fusion.notes, strict=True)
             ),
             frames_suspect=len(suspects),
-            workspace="estimated" if params.workspace is None else "given",
+            workspace="given" if isinstance(params.workspace, tuple) else "estimated",
             voxel_blocks=fusion.n_blocks,
             explained=median(row.explained for row in assessment.rows),
             residual=median(row.residual for row in assessment.rows),
@@ -147,7 +164,8 @@ def reconstruct(scan: Scan, params: ReconstructParams, out: Path) -> None:
         ),
         frames=assessment.rows,
         unmeasured=assessment.unmeasured,
-        warnings=hanging_warnings(hanging, params.drop_suspects)
+        warnings=doubts
+        + hanging_warnings(hanging, params.drop_suspects)
         + warnings_of(assessment, params.near, params.far, hung),
     )
 
@@ -225,7 +243,7 @@ def _survey(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) 
             got=f"none in {len(clouds)} frames looked at",
             fix="check the depth scale the scan was ingested with, or --near and --far.",
         )
-    if params.workspace is not None:
+    if isinstance(params.workspace, tuple):
         bounds = np.reshape(params.workspace, (2, 3)).astype(float)
     inside = [blocks[tsdf.blocks_inside(blocks, params.voxel_size, bounds, origin)] for blocks in touched]
     return Survey(
@@ -236,6 +254,20 @@ def _survey(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) 
         truncation=params.truncation,
         origin=origin,
     )
+
+
+def _on_support(scan: Scan, frames: list[FrameOfCamera], params: ReconstructParams) -> tuple[Survey, list[str]]:
+    """The survey with the box around the support and what stands on it, from a coarse surface of some frames; and
+    warnings if it is doubtful."""
+    import numpy as np
+
+    coarse = params.model_copy(update={"voxel_size": COARSE * params.voxel_size, "workspace": None})
+    some = [frames[i] for i in spread_evenly(len(frames), N_SURVEYED)]
+    mesh = _fused(scan, some, _survey(scan, some, coarse), coarse).mesh
+    box, doubt = proposed(mesh, np.stack([camera.world_from_cameras[i] for camera, i in some]))
+    corners = None if box is None else tuple(np.round(box, 3).ravel().tolist())
+    survey = _survey(scan, frames, params.model_copy(update={"workspace": corners}))
+    return survey, [f"workspace: {doubt}"] if doubt else []
 
 
 def _origin(scan: Scan) -> np.ndarray:

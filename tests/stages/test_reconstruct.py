@@ -33,12 +33,13 @@ def scan_of(
     blind: tuple[int, ...] = (),
     sigma: float = 0.001,
     offset: np.ndarray | tuple[float, ...] = (0.0, 0.0, 0.0),
+    scene: Scene = SCENE,
 ) -> Dataset:
     """A dataset with one scan of the scene, moved by `offset`; `blind` frames measure nothing."""
     dataset = Dataset.create(root)
     rng = np.random.default_rng(0)
     cameras = orbit(n_frames, radius=0.5)
-    views = [SCENE.render(K, camera, HEIGHT, WIDTH) for camera in cameras]
+    views = [scene.render(K, camera, HEIGHT, WIDTH) for camera in cameras]
     depth = [noisy(view.depth, sigma, rng) * (i not in blind) for i, view in enumerate(views)]
     cameras[:, :3, 3] += offset
     publish_recording(dataset, "a", rgb=[view.rgb for view in views], depth=depth, K=K, world_from_cameras=cameras)
@@ -83,6 +84,28 @@ def test_mesh_stays_in_the_workspace_given(tmp_path: Path) -> None:
     assert mesh.metadata.quality.workspace == "given"
     assert (mesh.vertices >= np.array(box[:3], np.float32)).all()
     assert (mesh.vertices <= np.array(box[3:], np.float32)).all()
+
+
+def test_workspace_auto_holds_the_support_and_what_stands_on_it(tmp_path: Path) -> None:
+    chair = Box((0.1, 0.1, 0.1), np.array([[1.0, 0, 0, 0], [0, 1, 0, 0.5], [0, 0, 1, -0.3], [0, 0, 0, 1]]))
+    room = Scene(SCENE.objects, (Plane(extent=0.25), Plane(offset=0.4, centre=(0.0, 0.4, -0.4), extent=0.2), chair))
+    scan = scan_of(tmp_path / "d", scene=room)
+    estimated, auto = result(scan).metadata, result(scan, workspace="auto").metadata
+    assert estimated.bounds[2] < -0.3
+    np.testing.assert_allclose(auto.bounds[:2], (-0.27, -0.27), atol=0.02)
+    np.testing.assert_allclose(auto.bounds[3:5], (0.27, 0.27), atol=0.02)
+    assert -0.04 < auto.bounds[2] < -0.01
+    assert 0.05 < auto.bounds[5] < 0.12
+    assert auto.quality.workspace == "estimated"
+    assert auto.warnings == []
+
+
+def test_workspace_auto_without_a_support_is_what_several_frames_see(tmp_path: Path) -> None:
+    ball = scan_of(tmp_path / "d", scene=Scene((Sphere((0.0, 0.0, 0.0), 0.06),), ()))
+    auto = result(ball, workspace="auto").metadata
+    assert auto.bounds == result(ball).metadata.bounds
+    assert "may be the face of an object" in auto.warnings[0]
+    assert "the workspace is what several frames see" in auto.warnings[0]
 
 
 def test_frames_without_depth_are_counted(tmp_path: Path) -> None:
