@@ -10,7 +10,7 @@ from bask_data.core.geometry import invert_rigid
 from bask_data.core.pair_alignment import moved
 from tests.scenes import intrinsics, look_at, noisy, tabletop
 
-HEIGHT, WIDTH, N_FRAMES = 120, 160, 18
+HEIGHT, WIDTH, N_FRAMES = 120, 160, 14
 K = intrinsics(HEIGHT, WIDTH)
 SCENE = tabletop(9, seed=4)
 HAND_EYE = moved(np.array([0.02, -0.025, 0.015, 0.006, -0.005, 0.006]))

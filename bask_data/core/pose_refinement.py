@@ -15,7 +15,7 @@ from jaxtyping import Float, Float32
 from numpy import ndarray
 
 from bask_data.core.drift_refinement import interpolated, undrifted
-from bask_data.core.geometry import invert_rigid, rotation_angle
+from bask_data.core.geometry import invert_rigid, rotation_angle, view_change
 from bask_data.core.hand_eye_refinement import Correction, hand_eye
 from bask_data.core.pair_alignment import aligned, residual
 from bask_data.core.surface_views import SurfaceView, angles_between, fixed_to_camera, meetings, surface_view
@@ -38,6 +38,10 @@ enough for the errors that are looked for. Sensitivity not measured."""
 
 LARGEST_TURN = np.radians(70.0)
 """Angle between views that see too little of the same surfaces. Sensitivity not measured."""
+
+STILL_M, STILL_RAD = 0.01, float(np.radians(2.0))
+"""A camera that nowhere moves and turns further, metres and radians, tells nothing of its poses. Sensitivity not
+measured."""
 
 LEAST_HELD_OUT = 8
 """Held-out pairs below which nothing can be told: the standard error of fewer is a guess."""
@@ -110,6 +114,9 @@ def refined(
         progress: wraps the frames that are read.
     """
     given = world_from_cameras
+    if _is_still(given):
+        why = "the camera hardly moves"
+        return Refinement("none", "cannot tell", given, None, None, None, None, why, 0)
     index = np.unique(np.linspace(0, len(given) - 1, MOST_COMPARED).round().astype(int)).tolist()
     views = _views(read_depth, Ks, given, index, progress)
     chosen = given[index]
@@ -119,7 +126,7 @@ def refined(
         return Refinement("none", "cannot tell", given, None, None, None, None, why, n_pairs)
     before = _residual(views, chosen, held_out)
     tried: dict[Model, tuple[Float[ndarray, "k 4 4"], Residual]] = {}
-    correction = None
+    correction, rest = None, None
     if model in ("auto", "hand-eye"):
         correction = hand_eye(views, chosen, fitted)
         poses = chosen @ correction.given_from_true
@@ -127,7 +134,8 @@ def refined(
     if model in ("auto", "drift"):
         poses = undrifted(views, chosen, fitted)
         tried["drift"] = (poses, _residual(views, poses, held_out))
-    best, verdict, why = _judged(before, {name: after for name, (_, after) in tried.items()}, correction)
+        rest = hand_eye(views, poses, fitted) if model == "auto" else None
+    best, verdict, why = _judged(before, {name: after for name, (_, after) in tried.items()}, correction, rest)
     shown = tried[best][1] if best != "none" else min((after for _, after in tried.values()), key=lambda r: r.mean)
     poses = given
     if verdict == "refined":
@@ -137,32 +145,51 @@ def refined(
     return Refinement(best, verdict, poses, E, correction, before, shown, why, n_pairs)
 
 
+_HELPS = {"hand-eye": "one rigid correction of all poses helps", "drift": "corrections of each pose help"}
+
+
 def _judged(
-    before: Residual, after: dict[Model, Residual], correction: Correction | None
+    before: Residual, after: dict[Model, Residual], correction: Correction | None, rest: Correction | None
 ) -> tuple[Model, Verdict, str]:
-    """The explanation that held-out pairs support: the simplest one that no other beats."""
+    """The explanation that held-out pairs support: the simplest one that no other beats.
+
+    Args:
+        correction: the hand-eye error of the given poses; None if it is not asked for.
+        rest: that of the poses without drift.
+    """
     better = [name for name, each in after.items() if _beats(each, before)]
     if not better:
-        return "none", "no better", "no correction makes held-out pairs of frames meet clearly better"
-    if "hand-eye" in better:
-        assert correction is not None
-        # Drift could explain such an error, too, and would leave the cameras where they should not be.
-        if why := _undetermined(correction):
-            return "hand-eye", "cannot tell", why
-        if "drift" not in better or not _beats(after["drift"], after["hand-eye"]):
-            return "hand-eye", "refined", "one rigid correction of all poses makes held-out pairs of frames meet"
-    return "drift", "refined", "corrections of each pose make held-out pairs of frames meet"
+        why = "no correction makes held-out pairs of frames meet clearly better"
+        if correction and _undetermined(correction):
+            why += f"; a hand-eye error smaller than {_known_to(correction)} could not be told from this motion"
+        return "none", "no better", why
+    drift_wins = "drift" in better and ("hand-eye" not in better or _beats(after["drift"], after["hand-eye"]))
+    # Drift could explain a hand-eye error, too, and would leave the cameras where they should not be; and what drifts
+    # makes a hand-eye error uncertain that would be clear without.
+    doubt = _undetermined(rest if drift_wins else correction)
+    if doubt:
+        return better[0], "cannot tell", f"{_HELPS[better[0]]}, but {doubt}"
+    if drift_wins:
+        return "drift", "refined", "corrections of each pose make held-out pairs of frames meet"
+    return "hand-eye", "refined", "one rigid correction of all poses makes held-out pairs of frames meet"
 
 
-def _undetermined(correction: Correction) -> str:
-    """Why a correction is too uncertain to be used; empty if it is not."""
+def _undetermined(correction: Correction | None) -> str:
+    """Why a correction is too uncertain to be used; empty if it is not, or if none was asked for."""
     most_m, most_rad = LARGEST_DEVIATION
-    if correction.deviation_m <= most_m and correction.deviation_rad <= most_rad:
+    if correction is None or (correction.deviation_m <= most_m and correction.deviation_rad <= most_rad):
         return ""
-    return (
-        f"one rigid correction helps, but is only known to {2000 * correction.deviation_m:.1f} mm and "
-        f"{2 * np.degrees(correction.deviation_rad):.2f} degrees: the camera turns too little, or about one axis only"
-    )
+    return f"a hand-eye error is only known to {_known_to(correction)}: the camera turns too little, or about one axis"
+
+
+def _known_to(correction: Correction) -> str:
+    """Twice the standard deviations in words."""
+    return f"{2000 * correction.deviation_m:.1f} mm and {2 * np.degrees(correction.deviation_rad):.2f} degrees"
+
+
+def _is_still(world_from_cameras: Float[ndarray, "t 4 4"]) -> bool:
+    shift, angle = view_change(np.broadcast_to(world_from_cameras[0], world_from_cameras.shape), world_from_cameras)
+    return bool(shift.max() < STILL_M and angle.max() < STILL_RAD)
 
 
 def _beats(winner: Residual, other: Residual) -> bool:

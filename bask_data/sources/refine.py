@@ -91,7 +91,7 @@ def refine(dataset: Dataset, scene: str, name: str, params: RefineParams, *, for
     found = {camera.name: _refined(camera, scene, params) for camera in scan.cameras}
     rows = [_row(camera, each) for camera, each in found.items()]
     poses = {camera: each.world_from_cameras for camera, each in found.items()}
-    findings = [_finding(scene, name, row, dataset.root) for row in rows]
+    findings = [_finding(scene, name, row, dataset) for row in rows]
     outcomes = []
     with scratches(dataset.root, [PoseRefinement, Scan]) as written:
         PoseRefinement.write(written[PoseRefinement], rows, poses, [each.as_json() for each in findings])
@@ -288,15 +288,19 @@ def _words(scene: str, rows: list[RefinedCamera]) -> str:
 _CODES = {"refined": "refined", "no better": "refine-no-better", "cannot tell": "refine-cannot-tell"}
 
 
-def _finding(scene: str, name: str, row: RefinedCamera, root: Path) -> Finding:
+def _finding(scene: str, name: str, row: RefinedCamera, dataset: Dataset) -> Finding:
     evidence = "; ".join(text for text in (row.why, residual_words(row)) if text)
     fix = ""
     if row.verdict == "refined":
-        fix = f"bask-data run {root} --only {name}"
+        fix = f"bask-data run {dataset.root} --only {name}"
+        kept = [other for other in dataset.items("scene") if other not in (scene, name)]
+        fix += f"; to train without {scene}: bask-data split {dataset.root} --train {','.join([*kept, name])}"
         if row.given_from_true is not None:
             evidence += f"; {_size(row)}"
     elif row.verdict == "cannot tell":
-        fix = "record the scene with the camera turned about several axes, or correct the poses by other means."
+        fix = "record the scene with the camera turned about several axes"
+        if row.before is not None:
+            fix += f"; if the camera is held by hand: bask-data refine {dataset.root} {scene} --model drift"
     return Finding(_CODES[row.verdict], f"{scene}/{row.camera}", evidence, fix)
 
 

@@ -68,6 +68,19 @@ def test_a_camera_that_turns_too_little_cannot_tell_a_hand_eye_error(motion: str
     assert np.array_equal(made.world_from_cameras, given)
 
 
+def test_a_camera_on_a_stand_cannot_tell() -> None:
+    depths, true = recorded("orbiting")
+    made = refinement_of(depths[:1] * 12, np.tile(true[:1], (12, 1, 1)))
+    assert (made.verdict, made.why) == ("cannot tell", "the camera hardly moves")
+
+
+def test_what_right_poses_of_a_poor_motion_leave_open_is_said() -> None:
+    depths, true = recorded("sideways")
+    made = refinement_of(depths, true, "hand-eye")
+    assert made.verdict == "no better"
+    assert "could not be told from this motion" in made.why
+
+
 def test_frames_without_overlap_cannot_tell() -> None:
     poses = np.stack([look_at((0.5, 0.0, 0.4)), look_at((-0.5, 0.0, 0.4))])
     depths = [SCENE.render(K, pose, HEIGHT, WIDTH).depth for pose in poses]

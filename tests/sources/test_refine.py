@@ -31,7 +31,7 @@ def refined(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     for name, poses, kind in (("off", wrong, Scan), ("right", true, Scan), ("demo", wrong[:2], Demonstration)):
         n = len(poses)
         publish_recording(dataset, name, rgb=rgb[:n], depth=depths[:n], K=K, world_from_cameras=poses, kind=kind)
-    made = bask_data("refine", root, "off", "right", "--json")
+    made = bask_data("refine", root, "off", "right", "--model", "hand-eye", "--json")
     assert made.exit_code == 0, made.output
     return root, json.loads(made.stdout)
 
@@ -68,11 +68,11 @@ def test_the_refinement_states_what_was_found(refined: tuple[Path, dict]) -> Non
 
 def test_what_is_up_to_date_is_not_made_again_and_what_a_kill_left_out_is(refined: tuple[Path, dict]) -> None:
     root, _ = refined
-    again = bask_data("refine", root, "off", "right", "--json")
+    again = bask_data("refine", root, "off", "right", "--model", "hand-eye", "--json")
     assert [row["status"] for row in json.loads(again.stdout)["outcomes"]] == ["up to date"] * 2
     digest = Scan(root / "scan" / "off-refined").manifest.digest
     shutil.rmtree(root / "scan" / "off-refined")  # As after a kill between the two.
-    again = bask_data("refine", root, "off", "--json")
+    again = bask_data("refine", root, "off", "--model", "hand-eye", "--json")
     assert [row["status"] for row in json.loads(again.stdout)["outcomes"]] == ["made"] * 2
     assert Scan(root / "scan" / "off-refined").manifest.digest == digest
 
