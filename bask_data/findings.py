@@ -41,6 +41,12 @@ CODES = {
         "error", "No reading makes depth of one frame meet that of another: these poses do not belong to these images."
     ),
     "camera-moved": Code("error", "All poses are the same, but depth changes: the camera moved."),
+    "clock-unknown": Code(
+        "warning", "Depth fits better with the poses of earlier or later frames, but it is open by how many."
+    ),
+    "intrinsics-unknown": Code(
+        "warning", "Depth fits better with other intrinsics, but not with those of a usual size."
+    ),
     "poses-repeated": Code("warning", "Poses stay the same for some frames while the images change."),
     "reading-unknown": Code("warning", "How poses are meant cannot be told from this recording."),
     "axes-unknown": Code("warning", "OpenCV and OpenGL axes cannot be told apart, as the camera only moves sideways."),

@@ -22,6 +22,10 @@ HARDLY = 0.03
 640x480 move by some fifteen then, and noise of depth and poses is as large. Sensitivity not measured."""
 
 
+MOST_NAMED = 3
+"""Readings that are named where several fit as well."""
+
+
 @dataclass(frozen=True)
 class Offers:
     """Options of a format that read it otherwise; none for a recording that is stored.
@@ -166,6 +170,8 @@ class Judgement:
 ADVICE = {
     "poses-unrelated": "check that poses, depth and intrinsics belong together, and depth's unit",
     "camera-moved": "pass the poses of this recording, one for each frame",
+    "clock-unknown": "check that each frame has the pose of its own time",
+    "intrinsics-unknown": "check that the intrinsics are those of images of this size",
     "poses-repeated": "leave out the frames whose poses were not updated, with --frames",
     "reading-unknown": "check the conventions of the poses yourself: their direction, axes and order",
     "axes-unknown": "check whether the camera's axes are those of OpenCV or of OpenGL",
@@ -282,11 +288,21 @@ class _Reasons:
                 "reading-unknown": f"{text} far apart fit badly ({found.near:.0%} of near ones): are these its poses?"
             }
         names = self.camera.readings.names
-        rivals = [names[trial.reading] for trial in found.unbeaten if trial.reading != found.trial.reading]
-        words = " or ".join(dict.fromkeys(each.words for each in [self.best, *rivals][:4]))
-        text = f"depth fits as well with {words} ({found.share:.0%}, {found.overlapping} pairs)"
+        other = [trial for trial in found.unbeaten if trial.reading != found.trial.reading]
+        rivals = [names[trial.reading] for trial in other]
+        alike = list(dict.fromkeys(each.words for each in [names[found.trial.reading], *rivals]))
+        more = f" and {len(alike) - MOST_NAMED} more" if len(alike) > MOST_NAMED else ""
+        text = f"depth fits as well with {' or '.join(alike[:MOST_NAMED])}{more} ({found.share:.0%}, {self._pairs})"
+        if "as read" not in alike:
+            text += ", and worse as read"
         is_axes = all((each.inverted, each.otherwise) == (self.best.inverted, self.best.otherwise) for each in rivals)
+        # Motions that leave only the axes open tell the unit roughly; otherwise nothing is supported.
+        is_axes = is_axes and all(0.5 <= trial.scale / found.trial.scale <= 2 for trial in other)
         return {"axes-unknown" if is_axes else "reading-unknown": text}
+
+    @property
+    def _pairs(self) -> str:
+        return f"{self.found.overlapping} pairs"
 
     def _unit(self) -> dict[str, str]:
         found = self.found
@@ -307,12 +323,15 @@ class _Reasons:
         found = self.found
         if not found.sure_of_reading:
             return {}
-        is_other = {
-            "other-depth": found.trial.ray != 0 and found.sure_of_ray,
-            "other-clock": found.trial.lag != 0 and found.sure_of_clock,
-            "other-intrinsics": found.trial.K_factor != (1.0, 1.0) and found.sure_of_intrinsics,
+        trial = found.trial
+        said = {
+            "other-depth": trial.ray != 0 and found.sure_of_ray,
+            "other-clock": trial.lag != 0 and found.sure_of_clock,
+            "clock-unknown": trial.lag != 0 and not found.sure_of_clock,
+            "other-intrinsics": trial.K_factor != (1.0, 1.0) and found.sure_of_intrinsics,
+            "intrinsics-unknown": trial.K_factor != (1.0, 1.0) and not found.sure_of_intrinsics,
         }
-        return {code: self._better() for code, is_so in is_other.items() if is_so}
+        return {code: self._better() for code, is_so in said.items() if is_so}
 
     def _better(self) -> str:
         told = float(self.found.mean[self.found.trials.index(Trial(0))])

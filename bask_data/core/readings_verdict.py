@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float
@@ -25,6 +26,9 @@ CLAIM_P, CLAIM_GAIN = 0.002, 0.02
 """The same for claiming another clock or other intrinsics than those read: t > 3.1 for 36 pairs. A false alarm costs
 more here than a fault that is missed."""
 
+AMOUNT_P = 0.05
+"""The same for the amount: which of the other clocks or sizes it is."""
+
 LEAST_JUDGED_PAIRS = 4
 """Pairs below which nothing is sure: the standard error of fewer is a guess."""
 
@@ -40,6 +44,9 @@ to 0.86. Chosen on some 40 of them (benchmarks/doctor_statistics.py, seeds below
 FINE_SCALES = np.geomspace(0.5, 2.0, 57)
 """Around the best unit, 2.5 % apart: what is not largest near 1 is no unit."""
 
+FINE_K = (1.0, 0.85, 1 / 0.85)
+"""Around the best intrinsics along u and v: nearer than any two sizes of images that are tried."""
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -53,6 +60,7 @@ class Verdict:
         moved: whether it beats the camera that does not move.
         translates: whether it beats the camera that only turns.
         fine: factor of the scale at which evidence is largest, near 1 if the unit is right.
+        is_fine_K: whether no intrinsics between the sizes that are tried fit better.
     """
 
     trials: list[Trial]
@@ -65,6 +73,7 @@ class Verdict:
     moved: bool
     translates: bool
     fine: float
+    is_fine_K: bool
     beats_clocks: bool
     beats_intrinsics: bool
     beats_rays: bool
@@ -100,7 +109,9 @@ class Verdict:
     def sure_of_unit(self) -> bool:
         """Whether it beats all other scales, too, and is the best scale around."""
         same = all(is_same_scale(trial.scale, self.trial.scale) for trial in self.unbeaten)
-        return self.sure_of_reading and self.translates and same and not self.is_off_scale
+        is_told = self.trial.scale == 1 and self.trial.K_factor == (1.0, 1.0)
+        is_fine = not self.is_off_scale and (is_told or self.is_fine_K)
+        return self.sure_of_reading and self.translates and same and is_fine
 
     @property
     def is_off_scale(self) -> bool:
@@ -115,7 +126,7 @@ class Verdict:
     @property
     def sure_of_intrinsics(self) -> bool:
         """Whether it beats all other intrinsics clearly."""
-        return self.is_supported and self.beats_intrinsics
+        return self.is_supported and self.beats_intrinsics and self.is_fine_K
 
     @property
     def sure_of_ray(self) -> bool:
@@ -158,6 +169,7 @@ def verdict(
         moved=beats(met[top], still, MOVED_P, 0.0),
         translates=all(beats(met[top], each, SURE_P, SURE_GAIN) for each in turning),
         fine=fine,
+        is_fine_K=_is_fine_K(views, trials[best]),
         beats_clocks=claims(trials, met, best, "lag"),
         beats_intrinsics=claims(trials, met, best, "K_factor"),
         beats_rays=claims(trials, met, best, "ray"),
@@ -182,10 +194,14 @@ def is_same_scale(a: float, b: float) -> bool:
 
 
 def claims(trials: Sequence[Trial], met: Float[ndarray, "h p"], best: int, field: str) -> bool:
-    """Whether the best hypothesis beats all with another value of a field clearly."""
-    value = getattr(trials[best], field)
-    others = (i for i, trial in enumerate(trials) if getattr(trial, field) != value and trial.reading != AT_REST)
-    return all(beats(met[best], met[i], CLAIM_P, CLAIM_GAIN) for i in others)
+    """Whether the best hypothesis beats all with another value of a field: clearly those with the value as read."""
+    value, plain = getattr(trials[best], field), getattr(Trial(0), field)
+    for i, trial in enumerate(trials):
+        other = getattr(trial, field)
+        p, gain = (CLAIM_P, CLAIM_GAIN) if other == plain or value == plain else (AMOUNT_P, 0.0)
+        if other != value and trial.reading != AT_REST and not beats(met[best], met[i], p, gain):
+            return False
+    return True
 
 
 def _plainest(trials: Sequence[Trial], met: Float[ndarray, "h p"], best: int) -> int:
@@ -205,3 +221,10 @@ def _fine(views: PairedViews, trial: Trial) -> float:
     """Factor of a trial's scale at which its evidence is largest."""
     mean = views.scores([trial._replace(scale=trial.scale * factor) for factor in FINE_SCALES])[0].mean(axis=1)
     return float(FINE_SCALES[int(np.argmax(mean))])
+
+
+def _is_fine_K(views: PairedViews, trial: Trial) -> bool:
+    """Whether a trial's evidence is largest among those with somewhat other intrinsics."""
+    kx, ky = trial.K_factor
+    around = [trial._replace(K_factor=(kx * along_u, ky * along_v)) for along_u, along_v in product(FINE_K, FINE_K)]
+    return around[int(np.argmax(views.scores(around)[0].mean(axis=1)))] == trial

@@ -23,6 +23,8 @@ _QUESTIONS = {
     "reading-unknown": "how poses are meant",
     "axes-unknown": "OpenCV axes from OpenGL axes",
     "unit-unknown": "the unit of depth and poses",
+    "clock-unknown": "by how many frames the clock is off",
+    "intrinsics-unknown": "the size of images that intrinsics are for",
 }
 
 
