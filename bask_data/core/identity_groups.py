@@ -12,6 +12,11 @@ from numpy import ndarray
 STRONGEST = 6.0
 """Log odds beyond which evidence of a pair counts no more, either way: one pair of views must not outvote all others.
 Chosen, sensitivity not measured."""
+CONTRAST = 1.5
+"""Log odds by which the pairs of two groups may be less similar than those within either group, on average. Objects
+that merely look alike, such as boxes of one colour and size, are likely the same pair by pair, but differ evenly from group
+to group. On simulated tables with look-alikes (seed 1): precision 1.00 at 1.5 and 0.80 at 2, recall 0.83 and 0.89;
+without it 0.68 and 0.92."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,8 @@ def grouped(
 
     The most similar groups are merged first, by the mean log odds of their pairs. Two groups that share a scan exclude
     each other; where a group has two such partners and neither is `confidence` more likely than the other, it is merged
-    with neither, unless further scans decide between them.
+    with neither, unless further scans decide between them. Two groups of several objects are not merged if their pairs
+    are clearly less similar than those within either.
 
     Args:
         scans: number of the scan of each object.
@@ -68,16 +74,17 @@ def grouped(
     if not 0.5 < confidence < 1:
         raise ValueError(f"confidence: expected above 0.5 and below 1, got {confidence:g}")
     least = float(np.log(confidence / (1 - confidence)))
+    unbounded = log_odds
     log_odds = np.clip(log_odds, -STRONGEST, STRONGEST)
     for pairs, stated in ((same, STRONGEST), (different, -STRONGEST)):
         for a, b in pairs:
             log_odds[a, b] = log_odds[b, a] = stated
-    merging = _Merging(scans, log_odds)
+    merging = _Merging(scans, log_odds, unbounded)
     for a, b in same:
         merging.merge(a, b)
     merging.exclude(different)
     alike = np.argwhere(np.triu((scans[:, None] == scans[None]) & (log_odds >= least), 1))
-    for a, b in alike[np.argsort(-log_odds[tuple(alike.T)], kind="stable")].tolist():
+    for a, b in alike[np.argsort(-unbounded[tuple(alike.T)], kind="stable")].tolist():
         # Twins: a group that both belong to is certain, which one is which is not.
         if not merging.excluded[merging.of[a], merging.of[b]]:
             merging.merge(a, b)
@@ -90,13 +97,16 @@ def grouped(
 class _Merging:
     """Groups under construction, each known by the lowest index of its members."""
 
-    def __init__(self, scans: Int[ndarray, "n"], log_odds: Float[ndarray, "n n"]) -> None:
+    def __init__(
+        self, scans: Int[ndarray, "n"], log_odds: Float[ndarray, "n n"], unbounded: Float[ndarray, "n n"]
+    ) -> None:
         self._scans, self._log_odds = scans, log_odds
         n = len(scans)
         self.of = np.arange(n)
         self.excluded: Bool[ndarray, "n n"] = np.eye(n, dtype=bool)
         across = scans[:, None] != scans[None]
         self._sums, self._counts = np.where(across, log_odds, 0.0), across.astype(np.int64)
+        self._unbounded = np.where(across, unbounded, 0.0)
 
     def merge(self, a: int, b: int) -> None:
         """Make one group of those of two objects."""
@@ -104,7 +114,7 @@ class _Merging:
         if kept == gone:
             return
         self.of[self.of == gone] = kept
-        for table in (self._sums, self._counts):
+        for table in (self._sums, self._counts, self._unbounded):
             table[kept] += table[gone]
             table[:, kept] += table[:, gone]
         self.excluded[kept] |= self.excluded[gone]
@@ -136,11 +146,26 @@ class _Merging:
     def best(self, least: float) -> tuple[int, int] | None:
         """The likeliest pair of groups that may be merged and has no rival; None if there is none."""
         scores = self.scores
-        allowed = np.argwhere(np.triu((scores >= least) & ~self.excluded, 1))
-        for a, b in allowed[np.argsort(-scores[tuple(allowed.T)], kind="stable")].tolist():
+        allowed = np.argwhere(np.triu((scores >= least) & ~self.excluded & ~self.contrasting, 1))
+        # Many scores are equal, at the bound.
+        order = np.lexsort((-self.means[tuple(allowed.T)], -scores[tuple(allowed.T)]))
+        for a, b in allowed[order].tolist():
             if not (len(self.rivals(scores, a, b, least)) or len(self.rivals(scores, b, a, least))):
                 return a, b
         return None
+
+    @property
+    def contrasting(self) -> Bool[ndarray, "n n"]:
+        """Groups of several objects each whose pairs are clearly less similar than those within either."""
+        # Merging has added the pairs within a group to the diagonal, which has none for a single object.
+        within, several = np.diag(self.means), np.diag(self._counts) > 0
+        lowest = np.minimum(within[:, None], within[None])
+        return several[:, None] & several[None] & (self.means < lowest - CONTRAST)
+
+    @property
+    def means(self) -> Float[ndarray, "n n"]:
+        """Mean log odds between groups, without bound; 0 where no pair is of different scans."""
+        return self._unbounded / np.maximum(self._counts, 1)
 
     def rivals(self, scores: Float[ndarray, "n n"], group: int, partner: int, least: float) -> Int[ndarray, "r"]:
         """Other partners of a group that exclude this one and are nearly as likely or more so."""

@@ -70,6 +70,13 @@ def test_no_scan_has_two_objects_of_a_group_however_much_both_resemble_a_third()
     assert members(grouped(np.array([0, 0, 1, 1]), odds, 0.9)) == [(0, 2), (1, 3)]
 
 
+@pytest.mark.parametrize(("between", "expected"), [(4.0, [(0, 1), (2, 3)]), (7.0, [(0, 1, 2, 3)])])
+def test_groups_of_objects_that_only_look_alike_stay_apart(between: float, expected: list[tuple[int, ...]]) -> None:
+    # Four scans of one object each: two of one box and two of another one, or all of the same.
+    odds = odds_of(4, {(0, 1): 8.0, (2, 3): 8.0}, otherwise=between)
+    assert members(grouped(np.arange(4), odds, 0.9)) == expected
+
+
 def test_what_is_stated_is_followed_against_the_evidence() -> None:
     scans = np.array([0, 0, 1, 1])
     odds = odds_of(4, {(0, 2): 5.0, (1, 3): 5.0})
