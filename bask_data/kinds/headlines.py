@@ -41,7 +41,9 @@ def _reconstructions(documents: Sequence[Any]) -> str:
 def _objects(documents: Sequence[Any]) -> str:
     counts = [len(metadata.instances) for metadata in documents]
     spread = f", {min(counts)} to {max(counts)} a scene" if min(counts) < max(counts) else ""
-    return f"{_counted(sum(counts), 'object')}{spread}"
+    n_flagged = sum(bool(row.flags) for metadata in documents for row in metadata.instances)
+    flagged = f", {n_flagged} of them flagged" if n_flagged else ""
+    return f"{_counted(sum(counts), 'object')}{spread}{flagged}"
 
 
 def _masks(documents: Sequence[Any]) -> str:

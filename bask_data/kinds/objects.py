@@ -163,7 +163,9 @@ class ObjectInstances(Artifact):
             for row in self.instances
             for flag in row.flags
         ]
-        one_sided = [row for row in self.instances if row.seen is not None and row.seen < ONE_SIDE and not row.flags]
+        # The hull of a hollow object, or of several, has sides that nothing is behind.
+        solid = [row for row in self.instances if not row.flags and row.concave_share < HOLLOW_SHARE]
+        one_sided = [row for row in solid if row.seen is not None and row.seen < ONE_SIDE]
         if one_sided:
             which = ", ".join(f"{row.id} ({row.seen:.0%})" for row in one_sided)
             found.append(

@@ -27,8 +27,8 @@ def stating(kind: type[Artifact], **metadata: Any) -> Artifact:
     return artifact
 
 
-def objects(n: int) -> Artifact:
-    row = {"n_vertices": 1, "area_m2": 0.1, "centroid": (0, 0, 0), "extents": (0, 0, 0)}
+def objects(n: int, **fields: object) -> Artifact:
+    row = {**fields, "n_vertices": 1, "area_m2": 0.1, "centroid": (0, 0, 0), "extents": (0, 0, 0)}
     return stating(ObjectInstances, instances=[{"id": i + 1, **row} for i in range(n)])
 
 
@@ -62,6 +62,7 @@ METRICS = {"loss": 0.2, "validation_median_error_px": 2.25, "validation_pck_4": 
         ([reconstruction(None, None)], ""),
         ([objects(3), objects(4)], "7 objects, 3 to 4 a scene"),
         ([objects(1)], "1 object"),
+        ([objects(1), objects(1, flags=["cut"])], "2 objects, 1 of them flagged"),
         ([objects(0), objects(0)], "0 objects"),
         (
             [stating(VisibleMasks, n_instances=2, pixels=PIXELS)] * 2,

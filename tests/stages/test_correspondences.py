@@ -38,7 +38,7 @@ def body(x, y, size):
 SCENE = scenes.Scene(tuple(body(*one) for one in BLOCKS))
 
 
-def dataset_of(root, cameras, blocks=BLOCKS, masked=None, depth=None):
+def dataset_of(root, cameras, blocks=BLOCKS, masked=None, depth=None, flagged=()):
     """A scan of the scene with its exact reconstruction, objects and masks, as if the earlier stages had made them."""
     dataset = Dataset.create(root)
     images = [SCENE.render(K, camera, HEIGHT, WIDTH) for camera in cameras]
@@ -53,7 +53,14 @@ def dataset_of(root, cameras, blocks=BLOCKS, masked=None, depth=None):
     )
     publish_mesh(dataset, "a", vertices, triangles)
     rows = [
-        InstanceRow(id=i + 1, n_vertices=1, area_m2=0.01, centroid=(0, 0, 0), extents=(1, 1, 1))
+        InstanceRow(
+            id=i + 1,
+            n_vertices=1,
+            area_m2=0.01,
+            centroid=(0, 0, 0),
+            extents=(1, 1, 1),
+            flags=["cut"] if i + 1 in flagged else [],
+        )
         for i in range(len(blocks))
     ]
     publish_artifact(
@@ -228,6 +235,17 @@ def test_a_scene_without_objects_gives_an_empty_artifact_that_says_so(tmp_path, 
     assert result.summary() == ["0 pairs of frames, 0 pixels tried"]
     assert result.metadata.warnings == [
         "no match: the scene has no object.  fix: look at what `bask-data objects` found."
+    ]
+
+
+def test_flagged_objects_are_matched_only_when_asked_for(tmp_path, cameras):
+    one = dataset_of(tmp_path / "one", cameras, flagged=(2,))
+    assert set(made(one).matches()["instance"].to_pylist()) == {1}
+    assert not [text for text in made(one).metadata.warnings if "object 2" in text]
+    assert set(made(one, flagged=True).matches()["instance"].to_pylist()) == {1, 2}
+    none = made(dataset_of(tmp_path / "none", cameras, flagged=(1, 2)))
+    assert none.metadata.warnings == [
+        "no match: all objects are flagged.  fix: look at them with `bask-data view`, then pass --flagged."
     ]
 
 
