@@ -44,7 +44,7 @@ def reading_findings(place: str, said: Agreement, again: str = "") -> list[Findi
 
 def is_sure(said: Agreement) -> bool:
     """Whether no other reading does as well."""
-    return not said.judgement.codes
+    return not said.judgement.codes and not said.judgement.best.departures
 
 
 def bars(said: Agreement) -> tuple[Bar, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -58,6 +59,7 @@ def test_a_clean_dataset_has_no_finding_and_says_what_was_checked(filled: Datase
 # Recordings that show the same ----------------------------------------------------------------------------------------
 
 
+@cache
 def views_of(n_frames: int = 12, seed: int = 0) -> tuple[np.ndarray, list[View]]:
     scene, cameras = tabletop(3, seed=seed), orbit(n_frames, n_turns=0.6)
     return cameras, [scene.render(intrinsics(HEIGHT, WIDTH), camera, HEIGHT, WIDTH) for camera in cameras]
