@@ -70,7 +70,7 @@ def _of_agreement(place: str, text: str, again: Callable[[str], str]) -> list[Fi
     parts = [part for part in text.split("; ") if codes_in(part) and part != TRUSTED]
     findings = []
     for part in parts:
-        (code, *_), words = codes_in(part), re.sub(r" \[[a-z-]+\]$", "", part)
+        (code, *_), words = codes_in(part), re.sub(r"(?: \(\d+ pairs\))?(?: \[[a-z-]+\])?$", "", part)
         if code in ADVICE:
             fix = ADVICE[code] if not code.startswith(("poses", "camera")) else f"{ADVICE[code]}, then {again('')}"
         else:

@@ -24,8 +24,11 @@ if TYPE_CHECKING:
     from bask_data.kinds.objects import ObjectsMetadata
     from bask_data.kinds.reconstruction import ReconstructionMetadata
 
-_OBJECT_OPTIONS = {"support-uncertain": "--up 0,0,1", "objects-touch": "--eps 0.01"}
-"""What to try about what is doubtful, if the picture shows that it is wrong."""
+_IF_WRONG = {
+    "support-uncertain": ("if the grey plane is not what the objects stand on", "--up 0,0,1"),
+    "objects-touch": ("if one colour covers several things", "--eps 0.01"),
+}
+"""What the picture has to show for what is doubtful to be wrong, and the option to try then."""
 _HARMLESS = re.compile(r"have no depth between")
 """Warnings of stages that need no look: what they tell is in a section of its own."""
 _UNSEEN = re.compile(r"most pixels that are none: (?:hidden|outside)_in_b|: outside_b")
@@ -71,7 +74,9 @@ def objects_judgement(
     """
     command = f"bask-data objects ROOT --only {item}"
     findings = [
-        replace(each, fix=f"{command} {_OBJECT_OPTIONS[each.code]}" if each.code in _OBJECT_OPTIONS else each.fix)
+        replace(each, fix=f"{_IF_WRONG[each.code][0]}: {command} {_IF_WRONG[each.code][1]}")
+        if each.code in _IF_WRONG
+        else each
         for each in told
         if each.code != "no-object" and not (is_confirmed and each.code == "objects-touch")
     ]

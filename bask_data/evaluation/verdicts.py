@@ -6,6 +6,7 @@ A stage is judged by what it made for each scene or demonstration; its row shows
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -113,7 +114,8 @@ def stage_verdict(stage: str, judgements: Sequence[ItemVerdict], missing: Sequen
 
 def _why(finding: Finding) -> str:
     """What the finding says beside the row's evidence, whose figure need not be repeated."""
-    return finding.meaning.rstrip(".") if finding.code in _OF_FIGURE else finding.evidence
+    words = finding.meaning if finding.code in _OF_FIGURE else finding.evidence
+    return re.sub(r"(\d)%", r"\1 %", words.rstrip("."))
 
 
 def _badness(judgement: ItemVerdict) -> tuple[int, float]:

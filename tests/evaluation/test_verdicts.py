@@ -135,7 +135,8 @@ def test_objects_fail_without_any_and_deserve_a_look_when_hollow_unless_labels_c
     )
     assert codes(objects(0, Finding("no-object", "table", "none"))) == ["objects-none"]
     assert (objects(2, hollow).verdict, objects(2, hollow, is_confirmed=True).verdict) == ("look", "pass")
-    assert objects(2, hollow).findings[0].fix == "bask-data objects ROOT --only table --eps 0.01"
+    condition = "if one colour covers several things: "
+    assert objects(2, hollow).findings[0].fix == condition + "bask-data objects ROOT --only table --eps 0.01"
     assert objects(2, Finding("object-one-side", "table", "seen from one side")).verdict == "pass"
 
 
