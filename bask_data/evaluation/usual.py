@@ -48,8 +48,8 @@ SUSPECT = Usual(0.05, 1.0, "5 % or fewer", higher_is_better=False)
 """Share of the frames that disagree with the mesh. Sensitivity not measured."""
 
 CONFIRMED = Usual(0.7, 0.0, "70 % or more")
-"""Share of the masks' pixels with measured depth: 99 % simulated, 80 % around the containers. Where it is less, masks are
-inferred from the mesh. Sensitivity not measured."""
+"""Share of the masks' pixels with measured depth: 99 % simulated, 80 % around the containers. Where it is less, masks
+are inferred from the mesh. Sensitivity not measured."""
 
 CONTRADICTED = Usual(0.15, 1.0, "15 % or less", higher_is_better=False)
 """Share of the objects' pixels whose depth lies behind the surface, or in front of it without being an occluder: on

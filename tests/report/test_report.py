@@ -115,6 +115,21 @@ def test_a_full_dataset_has_every_section(full_html):
     assert "could not be read" not in page.text
 
 
+def test_verdicts_come_first_and_are_those_of_the_summary(full_html, found):
+    text = Page(full_html).text
+    assert full_html.index('id="verdicts"') < full_html.index('id="frames"')
+    stages = found["verdicts"]["stages"]
+    assert {row["verdict"] for row in stages} <= {"pass", "look", "fail", "not made"}
+    for row in stages:
+        assert row["evidence"] in text
+    assert found["verdicts"]["next"]["why"] in text
+    surface = next(row for row in stages if row["stage"] == "Surface")
+    assert (surface["verdict"], [finding["code"] for finding in surface["findings"]]) == (
+        "look",
+        ["frames-disagree", "unmeasured"],
+    )
+
+
 def test_the_page_tells_what_error_to_expect_of_each_keypoint(full_html):
     text = Page(full_html).text
     assert "Ambiguous , because several places look the same to the network: side." in text
