@@ -23,6 +23,9 @@ BLURRED = 0.35
 SPARSE_DIP = 0.5
 """Measured share relative to that of the frames around below which a frame's depth is patchy."""
 
+MOVED_PX = 2.0
+"""Pixels by which a pose must move the image for colour to have to change: a static scene can look alike below."""
+
 CHANGED_GREY = 0.5
 """Mean change of grey levels by which images differ beyond compression. Noise of a camera at rest alone is above."""
 
@@ -55,16 +58,26 @@ def repeats(frames: Sequence[FrameMeasures], world_from_cameras: Float[ndarray, 
     found = Repeats([], [], [])
     for a, b in pairwise(frames):
         distance, angle = view_change(world_from_cameras[a.index], world_from_cameras[b.index])
-        same_pose = bool(distance < 1e-6 and angle < 1e-5)
+        # In pixels, as a robot that begins to move changes its pose before its images.
+        shown = b.blocks.K[0, 0] * (float(angle) + float(distance) / max(np.nan_to_num(b.typical_depth, nan=1.0), 1e-3))
+        same_pose = shown < MOVED_PX
         same_colour, same_depth = a.colour_hash == b.colour_hash, a.depth_hash == b.depth_hash
         empty = b.measured == 0 and a.measured == 0
-        if same_colour and same_depth and same_pose:
+        if same_colour and same_pose and (same_depth or not _surface_changed(a, b)):
             found.all.append(b.index)
-        elif same_colour and a.one_colour < ONE_COLOUR and (not same_pose or not same_depth):
+        elif same_colour and a.one_colour < ONE_COLOUR:
             found.colour.append(b.index)
         elif same_depth and not empty and np.abs(a.blocks.grey - b.blocks.grey).mean() > CHANGED_GREY:
             found.depth.append(b.index)
     return found
+
+
+def _surface_changed(a: FrameMeasures, b: FrameMeasures) -> bool:
+    """Whether depth shows something else, not only other noise."""
+    z_a, z_b = a.blocks.points[..., 2], b.blocks.points[..., 2]
+    both = np.isfinite(z_a) & np.isfinite(z_b)
+    change = np.abs(z_a - z_b)[both] / z_a[both]
+    return bool(len(change) and (change > 0.05).mean() > 0.02)
 
 
 def around(values: Float[ndarray, " n"]) -> Float[ndarray, " n"]:

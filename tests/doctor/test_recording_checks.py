@@ -212,3 +212,14 @@ def test_a_long_recording_is_sampled_and_says_so() -> None:
     by_code = {finding.code: finding for finding in findings}
     assert by_code["frame-off"].evidence.startswith("frame 21:")
     assert by_code["frames-black"].evidence.endswith("of 40 frames looked at)")
+
+
+def test_a_resting_simulated_camera_is_no_fault_though_its_depth_is_noisy() -> None:
+    recorded = clean()
+    still = replace(
+        recorded,
+        rgb=np.repeat(recorded.rgb[:1], 16, axis=0),
+        depth=np.stack([np.where(d > 0, recorded.depth[0], 0) for d in recorded.depth]),
+        world_from_cameras=np.repeat(recorded.world_from_cameras[:1], 16, axis=0),
+    )
+    assert still.codes == []
