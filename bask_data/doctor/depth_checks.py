@@ -22,8 +22,8 @@ NOISY = 0.015
 """Noise relative to depth: depth cameras in their range have 0.001 to 0.01."""
 
 BOWL = 0.004
-"""Error at the image's edge, relative to depth. Of two real recordings with planes, one said to be a bowl has 0.006, the
-other has 0.002."""
+"""Error at the image's edge, relative to depth. Of two real recordings with planes, one, said to be a bowl, has 0.006,
+the other 0.002."""
 
 
 def depth_findings(place: str, frames: Sequence[FrameMeasures], width: int) -> list[Finding]:
