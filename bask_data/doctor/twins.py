@@ -101,10 +101,19 @@ def _finding(dataset: Dataset, names: tuple[str, str], split_of: dict[str, str],
     if all(splits) and splits[0] != splits[1]:
         fix = f"bask-data split {dataset.root}: put both into one split, or leave one out"
         return Finding("split-leak", place, f"{evidence}; {one} is for {splits[0]}, {other} for {splits[1]}", fix)
-    fix = (
-        "leave one out of training, by `bask-data split`; if one is the other with refined poses, keep the refined one"
-    )
+    fix = f"leave one out of training: bask-data split {dataset.root}"
+    for refined, original in (names, names[::-1]):
+        if _is_refined_from(dataset, refined, original):
+            evidence = f"{evidence}: {refined} is {original} with refined poses"
+            fix = f"train on {refined} only: bask-data split {dataset.root}"
     return Finding("scene-twice", place, evidence, fix)
+
+
+def _is_refined_from(dataset: Dataset, item: str, original: str) -> bool:
+    """Whether a recording was written by `refine`, from the other."""
+    kind = Scan if item in dataset.file.scenes else Demonstration
+    manifest = kind(dataset.path(kind, item)).manifest
+    return manifest.stage == "refine" and f"{kind.kind}/{original}" in manifest.inputs
 
 
 def _films(dataset: Dataset, kind: type[Recording], item: str) -> Iterator[_Film]:

@@ -114,6 +114,16 @@ def test_a_scan_under_another_name_is_found(scanned, part, change_image, change_
     assert (finding.code, finding.place) == ("scene-twice", "table and other")
 
 
+def test_a_refined_copy_is_said_to_be_one(scanned) -> None:
+    dataset, cameras, views = scanned
+    add(dataset, "better", nudged(cameras), [view.rgb for view in views], [view.depth for view in views])
+    digest = json.loads((dataset.path(Scan, "table") / "artifact.json").read_text())["digest"]
+    change_manifest(dataset.path(Scan, "better"), stage="refine", inputs={"scan/table": digest})
+    [finding] = found(dataset)
+    assert "better is table with refined poses" in finding.evidence
+    assert finding.fix.startswith("train on better only")
+
+
 def test_a_scan_of_half_the_size_is_found(scanned) -> None:
     dataset, cameras, views = scanned
     rgb = [cv2.resize(view.rgb, (WIDTH // 2, HEIGHT // 2), interpolation=cv2.INTER_AREA) for view in views]
