@@ -38,7 +38,7 @@ KINDS = ("none", "hand-eye", "drift")
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scans", nargs="+", type=Path)
     parser.add_argument("--errors", type=int, default=12, help="random errors of each kind")
     parser.add_argument("--seed", type=int, default=0)
