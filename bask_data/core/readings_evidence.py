@@ -10,13 +10,16 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from bask_data.core.geometry import invert_rigid
-from bask_data.core.warped_depth import DepthView, Warps, evidence_of
+from bask_data.core.warped_depth import TOLERANCES, DepthView, Warps, evidence_of
 
 AT_REST = -1
 """In place of a reading: the camera did not move."""
 
 NO_TRANSLATION = np.inf
 """A scale: the camera only turned."""
+
+N_NOISE_VIEWS = 8
+"""Frames that the noise of depth is estimated from. Sensitivity not measured."""
 
 
 class Trial(NamedTuple):
@@ -71,6 +74,18 @@ class PairedViews:
         """Metres as read; 0 if nothing was measured."""
         depths = [view.z for view in self._views.values() if len(view.z)]
         return float(np.median(np.concatenate(depths))) if depths else 0.0
+
+    def ceiling(self) -> float:
+        """Evidence that the noise of depth allows at most, from how far pixels lie off their neighbours in a row. It is
+        too high where noise is alike in neighbours, as that of most cameras is."""
+        shares = []
+        for view in list(self._views.values())[:: max(1, len(self._views) // N_NOISE_VIEWS)]:
+            left, middle, right = view.depth[:, :-2], view.depth[:, 1:-1], view.depth[:, 2:]
+            known = (left > 0) & (middle > 0) & (right > 0)
+            # Two depths differ by sqrt(2) of the noise, this sum by sqrt(6).
+            off = np.abs(left + right - 2 * middle)[known] / (np.sqrt(3) * middle[known])
+            shares += [float((off < tolerance).mean()) for tolerance in TOLERANCES] if len(off) else []
+        return float(np.mean(shares)) if shares else 1.0
 
     def scores(
         self, trials: Sequence[Trial], chosen: Sequence[int] | None = None, step: int = 1

@@ -22,7 +22,7 @@ HARDLY = 0.03
 640x480 move by some fifteen then, and noise of depth and poses is as large. Sensitivity not measured."""
 
 
-MOST_NAMED = 3
+NAMED_READINGS = 3
 """Readings that are named where several fit as well."""
 
 
@@ -245,7 +245,7 @@ class _Reasons:
             return self._resting()
         if self.found.overlapping < LEAST_JUDGED_PAIRS:
             return {"few-views": f"{self.found.overlapping} of {n} pairs of frames see the same things"}
-        if self.found.share < POOR_EVIDENCE and n >= CERTAIN_PAIRS:
+        if self.found.share < self.found.poor and n >= CERTAIN_PAIRS:
             share = f"{told:.0%} of the depth of a frame, warped into another, meets what was measured there"
             return {
                 "poses-unrelated": f"{share}; no reading, unit, clock or size of intrinsics gives more than "
@@ -291,8 +291,8 @@ class _Reasons:
         other = [trial for trial in found.unbeaten if trial.reading != found.trial.reading]
         rivals = [names[trial.reading] for trial in other]
         alike = list(dict.fromkeys(each.words for each in [names[found.trial.reading], *rivals]))
-        more = f" and {len(alike) - MOST_NAMED} more" if len(alike) > MOST_NAMED else ""
-        text = f"depth fits as well with {' or '.join(alike[:MOST_NAMED])}{more} ({found.share:.0%}, {self._pairs})"
+        more = f" and {len(alike) - NAMED_READINGS} more" if len(alike) > NAMED_READINGS else ""
+        text = f"depth fits as well with {' or '.join(alike[:NAMED_READINGS])}{more} ({found.share:.0%}, {self._pairs})"
         if "as read" not in alike:
             text += ", and worse as read"
         is_axes = all((each.inverted, each.otherwise) == (self.best.inverted, self.best.otherwise) for each in rivals)

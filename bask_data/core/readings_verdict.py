@@ -48,12 +48,19 @@ FINE_K = (1.0, 0.85, 1 / 0.85)
 """Around the best intrinsics along u and v: nearer than any two sizes of images that are tried."""
 
 
+POOR_SHARE = 0.5
+"""The same as a share of what noise allows, for depth that is so noisy that right poses have less, as with 6 % per
+pixel. Poses of others have up to 0.45 of it, right ones at least 0.6 (benchmarks/doctor_statistics.py, seeds below
+240)."""
+
+
 @dataclass(frozen=True)
 class Verdict:
     """The best of some trials, and what it beats.
 
     Args:
         mean: evidence of each trial, over the pairs that overlap under the best one.
+        poor: evidence below which depth and poses do not fit.
         near: evidence of the best one for the pairs that are least apart.
         other: largest evidence of another reading of the poses.
         unbeaten: trials that the best does not beat.
@@ -67,6 +74,7 @@ class Verdict:
     best: int
     mean: Float[ndarray, " h"]
     overlapping: int
+    poor: float
     near: float
     other: float
     unbeaten: tuple[Trial, ...]
@@ -91,7 +99,7 @@ class Verdict:
     @property
     def is_supported(self) -> bool:
         """Whether there is enough to be sure of anything."""
-        enough = self.overlapping >= LEAST_JUDGED_PAIRS and self.share >= POOR_EVIDENCE
+        enough = self.overlapping >= LEAST_JUDGED_PAIRS and self.share >= self.poor
         return enough and self.moved and self.is_distinct
 
     @property
@@ -163,6 +171,7 @@ def verdict(
         best=best,
         mean=met[:, overlap].mean(axis=1) if overlap.any() else np.zeros(len(trials)),
         overlapping=int(overlap.sum()),
+        poor=min(POOR_EVIDENCE, POOR_SHARE * views.ceiling()),
         near=float(met[best][gaps <= np.unique(gaps)[:2].max()].mean()),
         other=float(max(others, default=0.0)),
         unbeaten=tuple(unbeaten),

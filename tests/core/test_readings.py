@@ -135,6 +135,15 @@ def test_frozen_runs_are_the_longest_ones_and_not_all_frames() -> None:
     assert frozen_runs(np.tile(START, (12, 1, 1))) == []
 
 
+def test_noise_alone_does_not_make_poses_unrelated() -> None:
+    rng = np.random.default_rng(1)
+    seen = [(each * rng.normal(1, 0.07, each.shape)).astype(np.float32) for each in depths("shaken")]
+    made = judge(N, lambda i: seen[i], np.tile(K, (N, 1, 1)), shaken(), FEW)
+    assert made.share < 0.25 and not made.objections
+    strange = judge(N, lambda i: depths("shaken")[i], np.tile(K, (N, 1, 1)), shaken()[::-1] @ START, FEW)
+    assert strange.codes[0] in ("poses-unrelated", "reading-unknown") and not strange.sure_of_reading
+
+
 def test_few_frames_are_never_sure() -> None:
     seen = depths("shaken")
     for n in (1, 2, 3):
