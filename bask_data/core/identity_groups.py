@@ -14,9 +14,9 @@ STRONGEST = 6.0
 Chosen, sensitivity not measured."""
 CONTRAST = 1.5
 """Log odds by which the pairs of two groups may be less similar than those within either group, on average. Objects
-that merely look alike, such as boxes of one colour and size, are likely the same pair by pair, but differ evenly from group
-to group. On simulated tables with look-alikes (seed 1): precision 1.00 at 1.5 and 0.80 at 2, recall 0.83 and 0.89;
-without it 0.68 and 0.92."""
+that merely look alike, such as boxes of one colour and size, are likely the same pair by pair, but differ evenly from
+group to group. On simulated tables with look-alikes (seed 1): precision 1.00 at 1.5 and 0.80 at 2, recall 0.83 and
+0.89; without it 0.68 and 0.92."""
 
 
 @dataclass(frozen=True)
