@@ -18,10 +18,10 @@ from numpy import ndarray
 WIDTH = 320
 """Width that images are compared at: a step of a shift is two pixels of 640."""
 
-N_POINTS = 1500
+N_WARPED_POINTS = 1500
 """Points warped per pair. Sensitivity not measured."""
 
-LEAST_POINTS = 150
+LEAST_MET = 150
 """Points that must meet measured depth for a pair to say anything. Sensitivity not measured."""
 
 MEETS = 0.02
@@ -70,14 +70,14 @@ def likeness(a: ColorView, b: ColorView, b_from_a: Float[ndarray, "4 4"], reach:
         None if too little surface is seen by both.
     """
     v, u = np.nonzero(a.depth > 0)
-    if len(u) < LEAST_POINTS:
+    if len(u) < LEAST_MET:
         return None
-    chosen = np.unique(np.linspace(0, len(u) - 1, N_POINTS).astype(int))
+    chosen = np.unique(np.linspace(0, len(u) - 1, N_WARPED_POINTS).astype(int))
     uv = np.stack([u[chosen], v[chosen]], axis=1).astype(np.float64)
     z = a.depth[v[chosen], u[chosen]].astype(np.float64)
     there = _landing(uv, z, a.K, b.K, b_from_a, b.depth, MEETS)
     met = there[:, 0] >= 0
-    if met.sum() < LEAST_POINTS:
+    if met.sum() < LEAST_MET:
         return None
     to_small = WIDTH / a.depth.shape[1]
     at_a, at_b = ((points[met] + 0.5) * to_small - 0.5 for points in (uv, there))

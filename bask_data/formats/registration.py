@@ -8,7 +8,7 @@ shift is told only if colours are sure of it in both halves of the pairs, or if 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -76,7 +76,7 @@ class Registration:
 
     Args:
         shift: how many pixels (u, v) colour lies away from depth.
-        by: what says so: `colours` of the same surface, `edges`, or both.
+        by: what says so: `colours` of the same surface, `edges`, or both; of `cannot tell`, what is at least alike.
     """
 
     verdict: str
@@ -95,7 +95,8 @@ class Registration:
                 "not to be registered to colour, or the poses to be those of another camera; masks will lie beside "
                 "the objects"
             )
-        return "cannot tell whether depth lies on colour; --picture FILE shows the edges of both"
+        but = f"; {self.by} are alike, but before a plane they always are" if self.by else ""
+        return f"cannot tell whether depth lies on colour{but}; --picture FILE shows the edges of both"
 
     def findings(self, place: str) -> list[Finding]:
         """The doctor's findings."""
@@ -106,7 +107,7 @@ class Registration:
             fix += "--color-from-depth; if depth is registered, correct the pose of the camera on its mount"
             return [Finding("depth-shifted", place, self.text, fix)]
         fix = "look at the edges of depth over colour: `ingest --picture FILE`, `doctor --report FILE`"
-        return [Finding("registration-unknown", place, self.text.split(";")[0], fix)]
+        return [Finding("registration-unknown", place, self.text.rpartition(";")[0], fix)]
 
 
 def registration(camera: CameraRecording, poses_fit: bool = True) -> Registration:
@@ -131,8 +132,9 @@ def registration(camera: CameraRecording, poses_fit: bool = True) -> Registratio
         alike = ALIKE_PX * camera.width / 640
         if np.hypot(*np.subtract(color.shift, edges.shift)) <= alike < np.hypot(*edges.shift):
             return Registration("shifted", edges.shift, "edges and colours of the same surface")
-    # Before a plane, colours fit wherever depth lies: edges that contradict leave it open.
-    return color if color is not None and color.verdict == "fits" and edges.verdict != "shifted" else unsure
+    # Before a plane, colours fit wherever depth of a camera beside lies: they accuse, but do not acquit.
+    is_fit = color is not None and color.verdict == "fits" and edges.verdict != "shifted"
+    return replace(unsure, by=color.by) if color is not None and is_fit else unsure
 
 
 def _by_colors(camera: CameraRecording) -> Registration | None:

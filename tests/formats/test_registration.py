@@ -55,8 +55,8 @@ def test_depth_beside_colour_is_found_with_its_shift(shift: tuple[int, int], col
     assert finding.code == "depth-shifted" and f"u {found.shift[0]:+d}, v {found.shift[1]:+d}" in finding.evidence
 
 
-def test_depth_of_a_camera_beside_is_found_although_the_table_fits_anywhere() -> None:
-    """Colours of a plane fit each other wherever on it depth lies; edges tell."""
+def test_colours_that_fit_acquit_no_depth_of_a_camera_beside() -> None:
+    """Colours of a plane fit each other wherever on it depth lies."""
     seen = camera()
 
     def read(i: int) -> tuple[np.ndarray, np.ndarray]:
@@ -72,7 +72,7 @@ def test_depth_of_a_camera_beside_is_found_although_the_table_fits_anywhere() ->
         return rgb, beside
 
     found = registration(replace(seen, read=read, read_depth=lambda i: read(i)[1]))
-    assert found.verdict == "shifted" and found.shift[0] < -8 and abs(found.shift[1]) <= 1
+    assert found.verdict == "cannot tell" and "before a plane they always are" in found.text
 
 
 def test_colour_without_edges_tells_nothing() -> None:
