@@ -21,7 +21,7 @@ WIDTH = 320
 N_WARPED_POINTS = 1500
 """Points warped per pair. Sensitivity not measured."""
 
-LEAST_MET = 150
+LEAST_SEEN_TWICE = 150
 """Points that must meet measured depth for a pair to say anything. Sensitivity not measured."""
 
 MEETS = 0.02
@@ -70,14 +70,14 @@ def likeness(a: ColorView, b: ColorView, b_from_a: Float[ndarray, "4 4"], reach:
         None if too little surface is seen by both.
     """
     v, u = np.nonzero(a.depth > 0)
-    if len(u) < LEAST_MET:
+    if len(u) < LEAST_SEEN_TWICE:
         return None
     chosen = np.unique(np.linspace(0, len(u) - 1, N_WARPED_POINTS).astype(int))
     uv = np.stack([u[chosen], v[chosen]], axis=1).astype(np.float64)
     z = a.depth[v[chosen], u[chosen]].astype(np.float64)
     there = _landing(uv, z, a.K, b.K, b_from_a, b.depth, MEETS)
     met = there[:, 0] >= 0
-    if met.sum() < LEAST_MET:
+    if met.sum() < LEAST_SEEN_TWICE:
         return None
     to_small = WIDTH / a.depth.shape[1]
     at_a, at_b = ((points[met] + 0.5) * to_small - 0.5 for points in (uv, there))

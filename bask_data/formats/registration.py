@@ -61,7 +61,7 @@ LEAST_LIKENESS, FIT_LIKENESS = 0.05, 0.1
 """Likeness above the median shift's from which a shift counts at all, and from which none may fit. Registered
 recordings have 0.12 to 0.4, one of plain walls and blurred frames 0.07."""
 
-LEAST_FRAMES = 3
+LEAST_EDGE_FRAMES = 3
 """Frames with edges from which they may tell a shift: two frames of a registered shelf share a wrong one."""
 
 AGREEING, FRAMES_ALIKE_PX = 0.6, 14
@@ -194,7 +194,7 @@ def _by_edges(camera: CameraRecording, reach: int) -> tuple[Registration, bool]:
         return Registration("fits", by=f"the edges of {len(scores)} frames"), True
     if mean.max() < CLEAR or unshifted >= WEAK:
         return Registration("cannot tell"), False
-    if len(scores) < LEAST_FRAMES:
+    if len(scores) < LEAST_EDGE_FRAMES:
         return Registration("cannot tell"), False
     alike = np.mean([np.hypot(*np.subtract(_peak(score), peak)) <= FRAMES_ALIKE_PX * scale for score in scores])
     shift = (peak[0] - reach, peak[1] - reach)
