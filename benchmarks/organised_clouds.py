@@ -11,7 +11,7 @@ objects, a missed one with 0; surplus instances are counted in a column of their
 In a single view an occluder may cut an object into distant parts. The labels distinguish these (20, 21, ...); parts
 whose surface goes on behind the occluder are joined: *by part* is the mean over connected parts, *strict* the one over
 whole objects with a 0 for each instance that belongs to none. Objects *touch* when a point of one is within eps of a
-point of another: a split by gaps cannot separate those, and they are not part of the mean.
+point of another: they are divided at creases, as where all cameras look from one side, and have a mean of their own.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def main() -> None:
         begun = time.perf_counter()
         view = PosedDepth(np.nan_to_num(cloud.points[..., 2]), K, np.eye(4))
         settings = SplitSettings(
-            voxel_size=VOXEL_SIZE, guess_up=upward(np.eye(4)[None]), eps=options.eps, views=(view,)
+            voxel_size=VOXEL_SIZE, guess_up=upward(np.eye(4)[None]), eps=options.eps, views=(view,), divide=True
         )
         split = split_objects(vertices, triangles, np.random.default_rng(0), settings)
         seconds = time.perf_counter() - begun

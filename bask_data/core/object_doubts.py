@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from bask_data.core.background import Background
 from bask_data.core.geometry import in_image, invert_rigid, project, transform
@@ -35,6 +35,8 @@ measured."""
 CLEARANCE = 0.03
 """Metres between the support and the lowest point of an object above which it may not stand there. Assumes a tabletop.
 Chosen, sensitivity not measured."""
+ON_ANOTHER = 0.02
+"""Metres between an object and another that it may stand on. Assumes a tabletop. Chosen, sensitivity not measured."""
 CLEAR_SHARE = 0.3
 """Share of the space below an object that must be seen to be empty for it not to stand. Chosen, sensitivity not
 measured."""
@@ -68,12 +70,18 @@ class SeenScene:
     bounds: Float[ndarray, "2 3"] | None = None
 
 
-def doubts_of(points: Float[ndarray, "n 3"], normals: Float[ndarray, "n 3"], scene: SeenScene) -> tuple[Doubt, ...]:
+def doubts_of(
+    points: Float[ndarray, "n 3"],
+    normals: Float[ndarray, "n 3"],
+    scene: SeenScene,
+    others: Float[ndarray, "m 3"],
+) -> tuple[Doubt, ...]:
     """The reasons to doubt an object.
 
     Args:
         points: its vertices, metres, world.
         normals: unit, towards the cameras.
+        others: vertices of the other objects, on which it may stand.
     """
     chosen = np.unique(np.linspace(0, len(points) - 1, N_CHECKED).round().astype(int))
     sample = points[chosen].astype(np.float64)
@@ -82,7 +90,7 @@ def doubts_of(points: Float[ndarray, "n 3"], normals: Float[ndarray, "n 3"], sce
         found.append("cut")
     if scene.background.support is not None:
         plane = scene.background.support.plane
-        if is_floating(points, plane, scene.views):
+        if is_floating(points, plane, scene.views) and not touches(sample, others):
             found.append("floating")
         level = float((normals @ plane[:3] > np.sqrt(0.5)).mean())
         if np.percentile(height(points, plane), 98) < FLAT and level > LEVEL_SHARE:
@@ -129,6 +137,11 @@ def is_floating(points: Float[ndarray, "n 3"], plane: Float[ndarray, "4"], views
     drop = height(lowest, plane)[:, None, None] * np.array([0.3, 0.5, 0.7, 0.9])[:, None]
     below = lowest[:, None] - drop * plane[:3]
     return bool(sighted(below.reshape(-1, 3), views).passed.mean() > CLEAR_SHARE)
+
+
+def touches(points: Float[ndarray, "n 3"], others: Float[ndarray, "m 3"]) -> bool:
+    """Whether an object comes so near to others that it may stand on them."""
+    return bool(len(others)) and bool(cKDTree(others).query(points)[0].min() < ON_ANOTHER)
 
 
 def moves_with_camera(points: Float[ndarray, "n 3"], views: Sequence[PosedDepth]) -> bool:

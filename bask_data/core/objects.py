@@ -9,10 +9,11 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 from bask_data.core.background import Background, BackgroundSettings, MeshVertices, find_background
 from bask_data.core.clusters import dbscan
+from bask_data.core.creases import concave_share, with_divided
 from bask_data.core.hidden_parts import PartsSettings, with_joined_parts
 from bask_data.core.object_doubts import Doubt, SeenScene, doubts_of, seen_share
 from bask_data.core.planes import height
@@ -27,15 +28,6 @@ FOOT_FACING = np.cos(np.deg2rad(60.0))
 """Cosine of the angle to the support above which surface is the side of an object, however low. Fusion rounds the
 corner between the two; on analytic scenes masks were best at 60 degrees (mean and worst IoU 0.986 and 0.970 at 40,
 0.987 and 0.977 at 60, 0.981 and 0.955 at 75)."""
-HOLLOW = 0.01
-"""Metres inside the convex hull from which surface counts as hollow. Assumes a tabletop. Chosen, sensitivity not
-measured."""
-CONCAVE_SHARE = 0.25
-"""Hollow share of the surface from which an object may be several that touch. On labelled single views of cluttered
-tables all seven clusters of two or three objects had 0.32 to 0.65, all thirty of one object 0.05 or less; but a bowl or
-a bin is hollow, too."""
-N_HULL_POINTS = 2000
-"""Most points of an object that its hollow share is computed from. Chosen, sensitivity not measured."""
 RIM_WIDTH = 0.03
 """Metres along the border of the seen support in which a low, level patch is the support's own. Assumes a tabletop.
 Chosen, sensitivity not measured."""
@@ -58,7 +50,7 @@ class Instance:
         area: square metres of surface.
         centroid: centre of the surface, metres, world.
         extents: edges of its box along the world's axes, metres.
-        concave_share: share of its surface that is more than `HOLLOW` inside its convex hull.
+        concave_share: share of its surface that is more than `creases.HOLLOW` inside its convex hull.
         seen: share of its closed surface, without the underside, that was seen.
         doubts: why it may not be an object on the support.
     """
@@ -142,12 +134,14 @@ class SplitSettings(BackgroundSettings):
         core_area: square metres within `eps` that make a core; by default a fifth of a disc of that radius.
         min_area: least surface of an object, square metres.
         bounds: lowest and highest corner of the workspace, metres, world; None if unknown.
+        divide: divide clusters that are hollow, or several objects, where their surface is creased inwards.
     """
 
     eps: float = 0.02
     core_area: float | None = None
     min_area: float = 0.001
     bounds: Float[ndarray, "2 3"] | None = None
+    divide: bool = False
 
 
 def split_objects(
@@ -179,6 +173,14 @@ def split_objects(
         steep = normals @ scene.support.plane[:3] < FOOT_FACING
         labels = with_feet(labels, edges, steep & scene.feet)
         labels = without_rim_patches(labels, heights, normals @ scene.support.plane[:3], scene, settings.inlier)
+        n_clusters = len(np.unique(labels[labels > 0]))
+        if settings.divide:
+            labels = with_divided(labels, MeshVertices(vertices, normals, areas), edges, min_area, MAX_INSTANCES)
+        n_divided = len(np.unique(labels[labels > 0])) - n_clusters
+        if n_divided:
+            warnings.append(
+                f"clusters were divided at creases into {n_divided} more objects: --touching one keeps them"
+            )
         labels = with_joined_parts(
             labels,
             vertices,
@@ -338,21 +340,10 @@ def describe(
                 (dx, dy, dz),
                 concave_share(own.points.astype(np.float64), own.areas),
                 seen_share(own.points, own.normals, plane, max(SEEN_REACH, 2 * scene.voxel_size), rng),
-                doubts_of(own.points, own.normals, scene),
+                doubts_of(own.points, own.normals, scene, surface.points[(labels > 0) & (labels != instance)]),
             )
         )
     return rows
-
-
-def concave_share(points: Float[ndarray, "n 3"], areas: Float[ndarray, "n"]) -> float:
-    """Share of a surface that is more than `HOLLOW` inside its convex hull, from a sample of its points."""
-    try:
-        facets = ConvexHull(points).equations
-    except (QhullError, ValueError):  # Flat, or fewer than four points.
-        return 0.0
-    sample = slice(None, None, -(-len(points) // N_HULL_POINTS))
-    depth = -(points[sample] @ facets[:, :3].T + facets[:, 3]).max(axis=1)
-    return float(areas[sample][depth > HOLLOW].sum() / max(areas[sample].sum(), 1e-12))
 
 
 def neighbours(

@@ -92,7 +92,7 @@ class NeighbourRow(Metadata):
 
 
 HOLLOW_SHARE = 0.25
-"""Share of the surface inside the hull from which an object is hollow, or several: as `core.objects.CONCAVE_SHARE`."""
+"""Share of the surface inside the hull from which an object is hollow, or several: as `core.creases.CONCAVE_SHARE`."""
 
 FLAG_CODES: dict[Flag, str] = {
     "cut": "object-cut",

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 N_LOOKS = 12
 """Most frames looked at again, to tell what is hidden from what is empty. Chosen to bound time and memory, sensitivity
 not measured."""
+ONE_SIDE_DEG = 20.0
+"""Degrees between the directions of cameras that look from one side. Chosen, sensitivity not measured."""
 FAR = 10.0
 """Depth above this counts as not measured, metres, as in `masks`."""
 
@@ -62,6 +64,11 @@ class ObjectsParams(Params):
     )
     min_area: float = Field(0.001, ge=0, description="Least surface of an object, m2.")
     max_extent: float = Field(0.6, gt=0, description="Greatest length of an object, metres.")
+    touching: Literal["auto", "one", "divide"] = Field(
+        "auto",
+        description="Objects that touch. one: they are one object; divide: at creases of their surface, which may "
+        "divide hollow objects, too; auto: divide where all cameras look from one side.",
+    )
     names: tuple[str, ...] = Field((), description="Names of the objects, in order of surface, the largest first.")
     seed: int = Field(0, ge=0, description="Seed of the random choices.")
 
@@ -79,7 +86,7 @@ def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, o
 
     The support plane is the largest one that faces up, as guessed from the cameras, with little surface below it. The
     surface above it, without walls, is clustered (DBSCAN); objects are numbered by surface, the largest first. Objects
-    that touch become one; the table of objects lists those that nearly touch.
+    that touch become one, unless divided at creases; the table of objects lists those that nearly touch.
     """
     import numpy as np
 
@@ -89,13 +96,14 @@ def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, o
     for name in ("plane", "above"):
         if params.support == "none" and getattr(params, name) is not None:
             raise UsageError("objects", name, expected=f"no {name} with --support none", got=f"{getattr(params, name)}")
+    world_from_cameras = np.concatenate([camera.world_from_cameras for camera in scan.cameras])
     estimated = reconstruction.metadata.quality.workspace == "estimated"
     settings = SplitSettings(
         voxel_size=reconstruction.voxel_size,
         support=params.support,
         plane=_vector("plane", params.plane),
         up=_unit("up", params.up),
-        guess_up=upward(np.concatenate([camera.world_from_cameras for camera in scan.cameras])),
+        guess_up=upward(world_from_cameras),
         inlier=params.inlier,
         above=params.above,
         margin=params.margin,
@@ -104,6 +112,7 @@ def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, o
         min_area=params.min_area,
         max_extent=params.max_extent,
         views=_views(scan),
+        divide=params.touching == "divide" or (params.touching == "auto" and _from_one_side(world_from_cameras)),
         # A given box ends where its author wants it to, often at the very side of an object.
         bounds=np.reshape(reconstruction.metadata.bounds, (2, 3)) if estimated else None,
     )
@@ -135,6 +144,14 @@ def objects(scan: Scan, reconstruction: Reconstruction, params: ObjectsParams, o
         neighbours=[NeighbourRow(a=one.a, b=one.b, gap_m=one.gap) for one in split.neighbours],
         warnings=_warnings(split, params),
     )
+
+
+def _from_one_side(world_from_cameras: np.ndarray) -> bool:
+    """Whether all cameras look in nearly one direction: what they show of one object is then rarely hollow."""
+    import numpy as np
+
+    ahead = world_from_cameras[:, :3, 2]
+    return bool((ahead @ ahead[0]).min() > np.cos(np.deg2rad(ONE_SIDE_DEG)))
 
 
 def _views(scan: Scan) -> tuple[PosedDepth, ...]:
@@ -178,7 +195,7 @@ def _unit(name: str, values: tuple[float, ...] | None) -> np.ndarray | None:
 
 def _warnings(split: Split, params: ObjectsParams) -> list[str]:
     """Warnings for the user, one sentence each."""
-    from bask_data.core.objects import CONCAVE_SHARE
+    from bask_data.core.creases import CONCAVE_SHARE
 
     warnings = list(split.warnings)
     if split.n_too_large:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bask_data.core import objects
+from bask_data.core import creases, objects
 from bask_data.core.geometry import transform
 from tests.meshes import THREE, block, joined, sheet, table
 
@@ -232,9 +232,9 @@ def test_objects_that_touch_are_far_from_convex_and_a_box_is_not():
     blocks = [(-0.22, -0.1, (0.12, 0.12, 0.03)), (-0.1, -0.1, (0.05, 0.12, 0.15)), (0.1, 0.0, (0.08, 0.08, 0.1))]
     result = split(*table(blocks)[:2])
     joined_share, alone_share = (one.concave_share for one in result.instances)
-    assert joined_share > objects.CONCAVE_SHARE
+    assert joined_share > creases.CONCAVE_SHARE
     assert alone_share == 0
-    assert objects.concave_share(np.zeros((9, 3)), np.ones(9)) == 0
+    assert creases.concave_share(np.zeros((9, 3)), np.ones(9)) == 0
 
 
 def test_pairs_within_reach_are_neighbours_with_their_gap():
