@@ -284,7 +284,7 @@ FAULTS = (
     Fault("intrinsics of half the size", ("other-intrinsics", "unreadable"), _with_K(0.5)),
     Fault("intrinsics of double the size", ("other-intrinsics", "unreadable"), _with_K(2.0)),
     Fault("clock off by two frames", ("other-clock",), _late),
-    Fault("poses of another recording", ("poses-unrelated",), _with_poses(_of_others)),
+    Fault("poses of another recording", ("poses-unrelated", "reading-unknown"), _with_poses(_of_others)),
     Fault("poses frozen at the end", ("poses-repeated", "frame-off"), _with_poses(_frozen)),
     Fault("one pose wrong", ("pose-jump", "frame-off"), _with_poses(_one_off)),
     Fault("drift", ("drift",), _with_poses(_drifting)),

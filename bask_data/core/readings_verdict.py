@@ -26,9 +26,6 @@ CLAIM_P, CLAIM_GAIN = 0.002, 0.02
 """The same for claiming another clock or other intrinsics than those read: t > 3.1 for 36 pairs. A false alarm costs
 more here than a fault that is missed."""
 
-AMOUNT_P = 0.05
-"""The same for the amount: which of the other clocks or sizes it is."""
-
 LEAST_JUDGED_PAIRS = 4
 """Pairs below which nothing is sure: the standard error of fewer is a guess."""
 
@@ -207,7 +204,7 @@ def claims(trials: Sequence[Trial], met: Float[ndarray, "h p"], best: int, field
     value, plain = getattr(trials[best], field), getattr(Trial(0), field)
     for i, trial in enumerate(trials):
         other = getattr(trial, field)
-        p, gain = (CLAIM_P, CLAIM_GAIN) if other == plain or value == plain else (AMOUNT_P, 0.0)
+        p, gain = (CLAIM_P, CLAIM_GAIN) if other == plain or value == plain else (SURE_P, 0.0)
         if other != value and trial.reading != AT_REST and not beats(met[best], met[i], p, gain):
             return False
     return True
