@@ -7,6 +7,7 @@ other frames, all that it is sure of is wrong. `--suites`:
 
 - `standard`: hand, wrist and approach; random direction and axes, in three of four runs also a wrong unit.
 - `errors`: clock, intrinsics, both, quaternions, rays, handedness, millimetres, and nothing wrong, each in turn.
+- `clean`: clock or intrinsics wrong, or nothing, with 0.5 % depth noise, 10 % holes and exact poses.
 - `degenerate`: motions and scenes that do not tell, few frames, repeated poses, poses of others; random direction and
   axes; in half of the runs poses are exact.
 
@@ -140,6 +141,15 @@ def errors(seed: int) -> tuple[str, RandomRecording, Told]:
     return kind, recording, told(recording, kinds[kind])
 
 
+def clean(seed: int) -> tuple[str, RandomRecording, Told]:
+    rng = np.random.default_rng([seed, 2])
+    size, lag = float(rng.choice(SIZES)), int(rng.choice(LAGS))
+    kinds = {"clock": Wrong(lag=lag), "intrinsics": Wrong(K_factor=(size, size)), "nothing wrong": Wrong()}
+    kind = list(kinds)[seed % len(kinds)]
+    recording = random_recording(seed, errors=Errors(depth=0.005, position=0.0, angle_deg=0.0, holes=0.1))
+    return kind, recording, told(recording, kinds[kind])
+
+
 def degenerate(seed: int) -> tuple[str, RandomRecording, Told]:
     rng = np.random.default_rng([seed, 3])
     kind = list(EXPECTED)[seed % len(EXPECTED)]
@@ -171,7 +181,7 @@ def degenerate(seed: int) -> tuple[str, RandomRecording, Told]:
     return kind, recording, as_told
 
 
-SUITES = {"standard": standard, "errors": errors, "degenerate": degenerate}
+SUITES = {"standard": standard, "errors": errors, "clean": clean, "degenerate": degenerate}
 
 
 # Judging --------------------------------------------------------------------------------------------------------------
