@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,15 @@ import numpy as np
 from bask_data.artifact import Artifact, digest_of, new_scratch, publish, seal
 from bask_data.core.tsdf import Mesh
 from bask_data.dataset import Dataset, Source
-from bask_data.kinds import CameraFrames, Demonstration, Reconstruction, Scan
+from bask_data.kinds import (
+    CameraFrames,
+    Demonstration,
+    Identities,
+    Reconstruction,
+    Scan,
+    VisibleMasks,
+)
+from bask_data.kinds.identities import IdentityRow, MemberRow
 
 
 def copied(dataset: Dataset, root: Path) -> Dataset:
@@ -71,13 +80,22 @@ def add_scan(
     )
 
 
-def publish_artifact(dataset: Dataset, kind: type[Artifact], item: str, fill, variant: str = "main") -> Path:
+def publish_artifact(
+    dataset: Dataset,
+    kind: type[Artifact],
+    item: str,
+    fill,
+    variant: str = "main",
+    inputs: Sequence[Artifact] = (),
+) -> Path:
     """Publish what `fill(out)` writes as an artifact of the dataset, as if a stage had made it."""
     dataset.prepare(kind, variant)
     scratch = new_scratch(dataset.root, kind.kind)
     fill(scratch)
     target = dataset.path(kind, item, variant)
-    seal(scratch, artifact=kind, stage="test", stage_version=1, params={}, inputs={}, key=digest_of([kind.kind, item]))
+    read = {each.path.relative_to(dataset.root).as_posix(): each.manifest.digest for each in inputs}
+    key = digest_of([kind.kind, item])
+    seal(scratch, artifact=kind, stage="test", stage_version=1, params={}, inputs=read, key=key)
     publish(scratch, target)
     return target
 
@@ -94,4 +112,29 @@ def publish_mesh(dataset: Dataset, item: str, vertices: np.ndarray, triangles: n
             voxel_size=0.004,
             bounds=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0),
         ),
+    )
+
+
+def publish_identities(dataset: Dataset, members: Mapping[str, Sequence[tuple[str, int]]]) -> Path:
+    """Publish identities by name, each with its members, as if made from the masks that their scans have."""
+    rows = [
+        IdentityRow(
+            id=i, name=name, members=[MemberRow(scene=scene, instance=n, confidence=0.9) for scene, n in places]
+        )
+        for i, (name, places) in enumerate(members.items(), 1)
+    ]
+    scenes = dict.fromkeys(scene for places in members.values() for scene, _ in places)
+    return publish_artifact(
+        dataset,
+        Identities,
+        "",
+        lambda out: Identities.write(
+            out,
+            identities=rows,
+            unknown=[],
+            pairs={name: [] for name in Identities.tables["pairs.parquet"].columns},
+            picture=b"",
+            warnings=[],
+        ),
+        inputs=[VisibleMasks(dataset.path(VisibleMasks, scene)) for scene in scenes],
     )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from bask_data.artifact import MANIFEST
 from bask_data.dataset import Dataset
+from bask_data.evaluation.identity_names import identity_names
 from bask_data.kinds import Camera, Scan, Truth, VisibleMasks
 from bask_data.kinds.truth import ROBOT
 
@@ -29,6 +30,7 @@ class Frames:
 
     def __init__(self, dataset: Dataset, scene: str) -> None:
         self.scene = scene
+        self._dataset = dataset
         self._scan = Scan(dataset.path(Scan, scene))
         self.masks = VisibleMasks(dataset.path(VisibleMasks, scene))
         path = dataset.path(Truth, scene)
@@ -97,10 +99,11 @@ class Frames:
 
     @cached_property
     def objects(self) -> dict[int, str]:
-        """Names of objects by label. Instances of masks are numbered per scene."""
+        """Names of objects by label. Instances of masks have that of their identity, or a number in their scene."""
         if self.truth is not None:
             return {label: name for label, name in sorted(self.truth.label_names.items()) if label not in (0, ROBOT)}
-        return {i: f"{self.scene} {i}" for i in range(1, self.masks.n_instances + 1)}
+        names = identity_names(self._dataset)
+        return {i: names.get((self.scene, i), f"{self.scene} {i}") for i in range(1, self.masks.n_instances + 1)}
 
     def points(self, frame: Frame, label: int, n: int) -> np.ndarray:
         """Up to n points (m, 3) of an object's visible surface, evenly over its pixels, metres, world frame."""

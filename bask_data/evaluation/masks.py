@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from bask_data.dataset import Dataset
 from bask_data.errors import BadData
+from bask_data.evaluation.identity_names import identity_names, outdated_scans
 from bask_data.evaluation.scenes import scenes_with_truth
 from bask_data.kinds import Truth, VisibleMasks
 from bask_data.kinds.truth import ROBOT
@@ -159,6 +161,9 @@ def evaluated_masks(dataset: Dataset, only: Sequence[str] = ()) -> dict[str, Any
 
     `counted` is the share of scenes with as many instances as objects, `iou` the mean over objects, `worst` the
     smallest, `on_robot` the share of the masks' pixels that show the robot.
+
+    If `identify` has been run, each object also has the `identity` of its instance, None for one without, `by_name` has
+    figures over all scans by that name, and `outdated` lists scans whose masks have changed since.
     """
     scored = {scene: masks_of(dataset, scene) for scene in scenes_with_truth(dataset, VisibleMasks, only)}
     objects = [body.iou for score in scored.values() for body in score.objects]
@@ -169,7 +174,36 @@ def evaluated_masks(dataset: Dataset, only: Sequence[str] = ()) -> dict[str, Any
         "worst": min(objects, default=None),
         "on_robot": sum(score.n_on_robot for score in scored.values()) / n_pixels if n_pixels else None,
     }
-    return {"scenes": {scene: asdict(score) for scene, score in scored.items()}, "all": everything}
+    result: dict[str, Any] = {"scenes": {scene: asdict(score) for scene, score in scored.items()}, "all": everything}
+    names, outdated = identity_names(dataset), [scene for scene in outdated_scans(dataset) if scene in scored]
+    if names or outdated:
+        result |= {"by_name": _by_name(result["scenes"], names), "outdated": outdated}
+    return result
+
+
+def _by_name(scenes: dict[str, Any], names: Mapping[tuple[str, int], str]) -> dict[str, Any]:
+    """Figures by name of the identity, which is entered in the objects of the scenes.
+
+    `shows` has the objects that ground truth names there, and how often: several mean that `identify` took
+    different objects for one.
+    """
+    members: dict[str, list[tuple[str, dict[str, Any]]]] = {}
+    for scene, score in scenes.items():
+        for body in score["objects"]:
+            body["identity"] = names.get((scene, body["instance"]))
+            if body["identity"] is not None:
+                members.setdefault(body["identity"], []).append((scene, body))
+    figures = {}
+    for name in sorted(members):
+        bodies = [body for _, body in members[name]]
+        ious = [body["iou"] for body in bodies]
+        figures[name] = {
+            "n_scans": len({scene for scene, _ in members[name]}),
+            "iou": _mean(ious),
+            "worst": min(ious),
+            "shows": dict(Counter("+".join(body["names"]) for body in bodies)),
+        }
+    return figures
 
 
 def _mean(values: Sequence[float]) -> float | None:

@@ -32,8 +32,24 @@ def mask_lines(result: dict[str, Any]) -> Iterator[str]:
     for scene, score in result["scenes"].items():
         yield f"  {scene}: {score['n_found']} instances, {len(score['objects'])} true objects"
         for body in score["objects"]:
-            yield f"    {'+'.join(body['names']):<32} instance {body['instance'] or 'none':<4}  IoU {body['iou']:.3f}"
+            identity = f"  {body['identity'] or 'no identity'}" if "identity" in body else ""
+            instance = f"instance {body['instance'] or 'none':<4}"
+            yield f"    {'+'.join(body['names']):<32} {instance}  IoU {body['iou']:.3f}{identity}"
+    yield from _name_lines(result)
     yield from _figure_lines(result["all"])
+
+
+def _name_lines(result: dict[str, Any]) -> Iterator[str]:
+    """A line for each identity, if there are any, with the objects that it shows by ground truth."""
+    if result.get("by_name"):
+        yield "  by name"
+    for name, figures in result.get("by_name", {}).items():
+        shows = ", ".join(f"{true} {n}" for true, n in figures["shows"].items())
+        scans = number_of(figures["n_scans"], "scan")
+        yield f"    {name:<32} {scans:<13}  IoU {figures['iou']:.3f}, worst {figures['worst']:.3f}; shows {shows}"
+    if result.get("outdated"):
+        scans = ", ".join(result["outdated"])
+        yield f"  no names for {scans}: the masks have changed since `bask-data identify`; run it again"
 
 
 def match_lines(result: dict[str, Any]) -> Iterator[str]:

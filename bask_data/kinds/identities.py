@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -103,6 +104,22 @@ class Identities(Artifact):
     def of_instances(self) -> dict[tuple[str, int], IdentityRow]:
         """The identity by scan and id of an object; those without one are missing."""
         return {(member.scene, member.instance): row for row in self.identities for member in row.members}
+
+    def names_of_instances(self) -> dict[tuple[str, int], str]:
+        """A name by scan and id of an object: as stated, else the identity's number. Objects of one identity have one
+        name and no others have it; those without an identity and a name are missing."""
+        everything: list[tuple[str, Sequence[MemberRow | UnknownRow]]] = [
+            *((row.name, row.members) for row in self.identities),
+            *((row.name, [row]) for row in self.metadata.unknown if row.name),
+        ]
+        given = [name for name, _ in everything]
+        names: dict[tuple[str, int], str] = {}
+        for i, (name, members) in enumerate(everything):
+            is_identity = i < len(self.identities)
+            own = f"identity {self.identities[i].id}" if is_identity else f"{members[0].scene}/{members[0].instance}"
+            words = own if not name else name if given.count(name) == 1 else f"{name} ({own})"
+            names.update({(member.scene, member.instance): words for member in members})
+        return names
 
     def pairs(self) -> pa.Table:
         """The evidence of each pair of objects."""
