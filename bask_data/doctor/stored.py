@@ -5,14 +5,14 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 
-from bask_data.dataset import Dataset, Source
+from bask_data.dataset import Dataset
 from bask_data.doctor.dataset_checks import dataset_findings
 from bask_data.doctor.examination import Examination, ExaminedCamera
 from bask_data.doctor.recording import Settings, examine_camera, of_stored
 from bask_data.doctor.recording_checks import stamp_findings
 from bask_data.errors import BadData
+from bask_data.evaluation.ingest_again import ingest_command
 from bask_data.findings import Finding
-from bask_data.formats import FORMATS
 from bask_data.kinds import Demonstration, Recording, Scan
 from bask_data.progress import progress
 
@@ -50,26 +50,7 @@ def _examined(dataset: Dataset, name: str, with_pictures: bool) -> tuple[list[Ex
         return [], []  # The dataset's own checks report it.
     recording: Recording = kind(path)
     recording.check_complete()
-    sources = {**dataset.file.scenes, **dataset.file.demonstrations}
-    settings = Settings(with_pictures, ingest_command(dataset, name, sources[name]), recording.metadata.assumptions)
+    settings = Settings(with_pictures, ingest_command(dataset, name), recording.metadata.assumptions)
     cameras = recording.cameras
     examined = [examine_camera(f"{name}/{each.name}", of_stored(each), settings) for each in cameras]
     return examined, stamp_findings(name, {each.name: each.time for each in cameras})
-
-
-def ingest_command(dataset: Dataset, name: str, source: Source) -> str:
-    """The command that reads a recording again, in place of what is there; empty if its format is not ingested."""
-    if source.format not in {format.name for format in FORMATS}:
-        return ""
-    words = [f"bask-data ingest {source.format}", shlex.quote(str(dataset.root / source.path))]
-    words += [shlex.quote(str(dataset.root)), f"--scene {name}"]
-    if name in dataset.file.demonstrations:
-        words.append("--as demonstration")
-    for option, value in source.options.items():
-        flag = f"--{option.replace('_', '-')}"
-        if isinstance(value, list):
-            value = ",".join(map(str, value))
-        words.append(
-            flag if value is True else f"--no-{flag[2:]}" if value is False else f"{flag} {shlex.quote(str(value))}"
-        )
-    return " ".join([*words, "--force"])

@@ -8,6 +8,9 @@ import shlex
 from bask_data.dataset import Dataset
 from bask_data.formats import FORMATS
 
+REFINED = "refine"
+"""Format of the source of recordings that `bask-data refine` wrote."""
+
 
 def ingest_command(dataset: Dataset, item: str, fix: str = "") -> str:
     """The command that reads a recording again in place of what is there; that of the simulator is not repeated.
@@ -16,6 +19,11 @@ def ingest_command(dataset: Dataset, item: str, fix: str = "") -> str:
         fix: options that replace those with which it was read wrongly.
     """
     source = {**dataset.file.scenes, **dataset.file.demonstrations}[item]
+    if source.format == REFINED:
+        given = str(source.options.get("recording") or source.options.get("scan"))
+        scan = source.options.get("apply")
+        words = ["bask-data", "refine", str(dataset.root), given, "--as", item]
+        return shlex.join([*words, *(["--apply", str(scan)] if scan else []), "--force"])
     if source.format not in {format.name for format in FORMATS}:
         return f"bask-data ingest {source.format} ... --force"
     path = os.path.normpath(dataset.root / source.path)
@@ -30,4 +38,5 @@ def ingest_command(dataset: Dataset, item: str, fix: str = "") -> str:
             words.append(flag if value else f"--no-{flag[2:]}")
         else:
             words += [flag, ",".join(map(str, value)) if isinstance(value, list) else str(value)]
-    return shlex.join([*words, *shlex.split(fix), "--force"])
+    # No shell has seen the fix: a quote in it is a character like any other.
+    return shlex.join([*words, *fix.split(), "--force"])

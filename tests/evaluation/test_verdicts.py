@@ -284,6 +284,27 @@ def test_the_command_that_reads_a_recording_again_replaces_the_options_that_were
     ]
 
 
+def test_what_a_file_says_of_options_is_quoted_whatever_it_is(tmp_path):
+    dataset = Dataset.create(tmp_path / "d")
+    dataset.add("scene", "table", Source(format="frames", path="in"))
+    words = shlex.split(ingest_command(dataset, "table", "--pose-is 'x;reboot"))
+    assert words[-3:] == ["--pose-is", "'x;reboot", "--force"]
+
+
+def test_a_refined_recording_is_made_again_by_refine(tmp_path):
+    dataset = Dataset.create(tmp_path / "d")
+    dataset.add("scene", "table2", Source(format="refine", path="", options={"scan": "table"}))
+    applied = {"recording": "demo", "apply": "table"}
+    dataset.add("demonstration", "demo2", Source(format="refine", path="", options=applied))
+    root = str(dataset.root)
+    assert shlex.split(ingest_command(dataset, "table2")) == (
+        ["bask-data", "refine", root, "table", "--as", "table2", "--force"]
+    )
+    assert shlex.split(ingest_command(dataset, "demo2")) == (
+        ["bask-data", "refine", root, "demo", "--as", "demo2", "--apply", "table", "--force"]
+    )
+
+
 def test_a_dataset_of_a_scan_says_what_to_make_next_by_commands_of_its_own(tmp_path):
     dataset = Dataset.create(tmp_path / "d")
     assert verdicts(dataset, Measured(dataset)) == []
