@@ -8,6 +8,7 @@ from a camera on a stand: noise alone differs, and something was moved.
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -91,7 +92,7 @@ def _listed_twice(dataset: Dataset) -> Iterator[Finding]:
     splits = dataset.file.splits.model_dump()
     for one, other in combinations(splits, 2):
         for name in sorted(set(splits[one]) & set(splits[other])):
-            fix = f"bask-data split {dataset.root}: name it in one of them"
+            fix = f"bask-data split {shlex.quote(str(dataset.root))}: name it in one of them"
             yield Finding("split-leak", name, f"it is in the splits {one} and {other}", fix)
 
 
@@ -99,13 +100,13 @@ def _finding(dataset: Dataset, names: tuple[str, str], split_of: dict[str, str],
     one, other = names
     place, splits = f"{one} and {other}", [split_of.get(name, "") for name in names]
     if all(splits) and splits[0] != splits[1]:
-        fix = f"bask-data split {dataset.root}: put both into one split, or leave one out"
+        fix = f"bask-data split {shlex.quote(str(dataset.root))}: put both into one split, or leave one out"
         return Finding("split-leak", place, f"{evidence}; {one} is for {splits[0]}, {other} for {splits[1]}", fix)
-    fix = f"leave one out of training: bask-data split {dataset.root}"
+    fix = f"leave one out of training: bask-data split {shlex.quote(str(dataset.root))}"
     for refined, original in (names, names[::-1]):
         if _is_refined_from(dataset, refined, original):
             evidence = f"{evidence}: {refined} is {original} with refined poses"
-            fix = f"train on {refined} only: bask-data split {dataset.root}"
+            fix = f"train on {refined} only: bask-data split {shlex.quote(str(dataset.root))}"
     return Finding("scene-twice", place, evidence, fix)
 
 

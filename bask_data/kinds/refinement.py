@@ -56,10 +56,9 @@ class RefinedCamera(Metadata):
 
 
 class RefinementMetadata(Metadata):
-    """What was found of each camera, and the findings as the doctor prints them."""
+    """What was found of each camera."""
 
     cameras: list[RefinedCamera]
-    findings: list[dict[str, str]] = []
 
 
 class PoseRefinement(Artifact):
@@ -90,11 +89,9 @@ class PoseRefinement(Artifact):
         return any(row.verdict == "refined" for row in self.cameras)
 
     @staticmethod
-    def write(
-        out: Path, rows: list[RefinedCamera], poses: dict[str, np.ndarray], findings: list[dict[str, str]]
-    ) -> None:
+    def write(out: Path, rows: list[RefinedCamera], poses: dict[str, np.ndarray]) -> None:
         """Write what was found, and the poses (t, 4, 4) of each camera."""
-        metadata = {"cameras": [row.model_dump() for row in rows], "findings": findings}
+        metadata = {"cameras": [row.model_dump() for row in rows]}
         group = start(out, PoseRefinement, metadata)
         for name, world_from_cameras in poses.items():
             write_group(out / name, {"bask": {"role": "camera"}})

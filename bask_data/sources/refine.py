@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -87,14 +88,13 @@ def refine(dataset: Dataset, scene: str, name: str, params: RefineParams, *, for
         present = PoseRefinement(target)
         if has_scan or not present.is_refined:
             outcome = up_to_date(dataset.root, PoseRefinement, scene)
-            return _reported([outcome], name if present.is_refined else "", present)
+            return _reported(dataset, scene, name, [outcome])
     found = {camera.name: _refined(camera, scene, params) for camera in scan.cameras}
     rows = [_row(camera, each) for camera, each in found.items()]
     poses = {camera: each.world_from_cameras for camera, each in found.items()}
-    findings = [_finding(scene, name, row, dataset) for row in rows]
     outcomes = []
     with scratches(dataset.root, [PoseRefinement, Scan]) as written:
-        PoseRefinement.write(written[PoseRefinement], rows, poses, [each.as_json() for each in findings])
+        PoseRefinement.write(written[PoseRefinement], rows, poses)
         is_refined = any(row.verdict == "refined" for row in rows)
         if is_refined:
             _write_recording(written[Scan], Scan, scan, poses, {"poses": _words(scene, rows)})
@@ -104,7 +104,7 @@ def refine(dataset: Dataset, scene: str, name: str, params: RefineParams, *, for
             outcomes.append(_published(dataset, Scan, name, written[Scan], of_scan, begun))
     if is_refined:
         dataset.add("scene", name, Source(format="refine", path="", options={"scan": scene}))
-    return _reported(outcomes, name if is_refined else "", PoseRefinement(target))
+    return _reported(dataset, scene, name, outcomes)
 
 
 def apply(dataset: Dataset, scene: str, recording: str, name: str, *, force: bool = False) -> Refined:
@@ -121,7 +121,7 @@ def apply(dataset: Dataset, scene: str, recording: str, name: str, *, force: boo
     shared = [camera for camera in given.camera_names if camera in corrections]
     if not shared:
         got = ", ".join(corrections) or "none"
-        fix = f"bask-data refine {dataset.root} {scene} --model hand-eye"
+        fix = f"bask-data refine {shlex.quote(str(dataset.root))} {scene} --model hand-eye"
         expected = f"a hand-eye correction of {' or '.join(given.camera_names)}"
         raise UsageError("refine", f"--apply {scene}", expected=expected, got=got, fix=fix)
     begun = time.perf_counter()
@@ -291,16 +291,17 @@ _CODES = {"refined": "refined", "no better": "refine-no-better", "cannot tell": 
 def _finding(scene: str, name: str, row: RefinedCamera, dataset: Dataset) -> Finding:
     evidence = "; ".join(text for text in (row.why, residual_words(row)) if text)
     fix = ""
+    root = shlex.quote(str(dataset.root))
     if row.verdict == "refined":
-        fix = f"bask-data run {dataset.root} --only {name}"
+        fix = f"bask-data run {root} --only {name}"
         kept = [other for other in dataset.items("scene") if other not in (scene, name)]
-        fix += f"; to train without {scene}: bask-data split {dataset.root} --train {','.join([*kept, name])}"
+        fix += f"; to train without {scene}: bask-data split {root} --train {','.join([*kept, name])}"
         if row.given_from_true is not None:
             evidence += f"; {_size(row)}"
     elif row.verdict == "cannot tell":
         fix = "record the scene with the camera turned about several axes"
         if row.before is not None:
-            fix += f"; if the camera is held by hand: bask-data refine {dataset.root} {scene} --model drift"
+            fix += f"; if the camera is held by hand: bask-data refine {root} {scene} --model drift"
     return Finding(_CODES[row.verdict], f"{scene}/{row.camera}", evidence, fix)
 
 
@@ -319,8 +320,8 @@ def _size(row: RefinedCamera) -> str:
     )
 
 
-def _reported(outcomes: list[Outcome], written: str, refinement: PoseRefinement) -> Refined:
-    findings = [
-        Finding(each["code"], each["place"], each["evidence"], each["fix"]) for each in refinement.metadata.findings
-    ]
-    return Refined(outcomes, written, refinement.cameras, findings)
+def _reported(dataset: Dataset, scene: str, name: str, outcomes: list[Outcome]) -> Refined:
+    """What is there, in the terms of the user: fixes name the dataset and the scans that it has."""
+    refinement = PoseRefinement(dataset.path(PoseRefinement, scene))
+    findings = [_finding(scene, name, row, dataset) for row in refinement.cameras]
+    return Refined(outcomes, name if refinement.is_refined else "", refinement.cameras, findings)

@@ -40,6 +40,9 @@ def test_a_scan_with_corrected_poses_is_written_beside(refined: tuple[Path, dict
     root, document = refined
     assert document["written"] == ["off-refined"]
     assert [finding["code"] for finding in document["findings"]] == ["refined", "refine-no-better"]
+    run, split = document["findings"][0]["fix"].split("; to train without off: ")
+    assert run == f"bask-data run {root} --only off-refined"
+    assert split == f"bask-data split {root} --train right,off-refined"
     dataset = Dataset(root)
     assert dataset.items("scene") == ["off", "right", "off-refined"]
     given, made = (Scan(dataset.path(Scan, name)) for name in ("off", "off-refined"))
@@ -64,6 +67,10 @@ def test_the_refinement_states_what_was_found(refined: tuple[Path, dict]) -> Non
     made = Scan(root / "scan" / "off-refined").camera("wrist").world_from_cameras
     assert np.array_equal(found.world_from_cameras("wrist"), made)
     assert not PoseRefinement(root / "refinement" / "right").is_refined
+    # What was found does not depend on where the dataset lies, nor on the scans beside it.
+    stored = [file.read_bytes() for file in (root / "refinement" / "off").rglob("*.json")]
+    assert any(b"given_from_true" in each for each in stored)
+    assert not any(str(root).encode() in each or b"bask-data split" in each for each in stored)
 
 
 def test_what_is_up_to_date_is_not_made_again_and_what_a_kill_left_out_is(refined: tuple[Path, dict]) -> None:
