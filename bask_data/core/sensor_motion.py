@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -134,7 +135,7 @@ class NeighbourPairs:
         """All pairs of frames so many places apart."""
         return [self.pair(i, i + gap) for i in range(len(self) - gap)]
 
-    @property
+    @cached_property
     def usual(self) -> float:
         """Median disagreement of neighbouring frames of different poses, metres; NaN if there are none."""
         moved = [pair.moved for pair in self.neighbours() if np.isfinite(pair.moved) and not _same_pose(pair)]

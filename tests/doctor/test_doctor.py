@@ -15,7 +15,8 @@ from typer.testing import CliRunner, Result
 
 from bask_data.cli.app import app
 from bask_data.dataset import Dataset
-from bask_data.doctor.examination import Examination, by_place, frames_of
+from bask_data.doctor.examination import Examination, ExaminedCamera, by_place, frames_of
+from bask_data.doctor.page import render
 from bask_data.doctor.text import FailOn, fails
 from bask_data.findings import CODES, Finding
 from tests.datasets import copied
@@ -155,6 +156,16 @@ def test_the_page_holds_findings_pictures_and_nothing_from_elsewhere(
     assert page.count("data:image/jpeg") >= 4
     assert re.findall(r'(?:src|href)="(?!data:|#)', page) == []
     assert list(file.parent.iterdir()) == [file]
+
+
+def test_what_files_say_is_text_on_the_page_and_the_page_runs_no_script() -> None:
+    evil = "<script>alert(1)</script>\"'"
+    finding = Finding("unreadable", f"{evil}/wrist 3", evil, evil)
+    page = render(
+        Examination(evil, (ExaminedCamera(evil, {}, (finding,), (evil,)),), read_as=evil, assumptions={evil: evil})
+    )
+    assert "<script" not in page and "&lt;script&gt;" in page
+    assert "content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\"" in page
 
 
 @pytest.mark.parametrize("depth_scale", ["0.0001", "0.001"])
