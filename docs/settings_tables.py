@@ -23,7 +23,8 @@ from bask_data.core.filters.table import FILTERS, settings_named
 from bask_data.engine import resolve
 from bask_data.pipeline import STAGES
 from bask_data.presets import PRESETS
-from bask_data.stages.train import TrainParams, train
+from bask_data.stages.train import train
+from bask_data.stages.train_params import TrainParams
 
 HERE = Path(__file__).resolve().parent
 PAGE = HERE / "settings.md"

@@ -14,7 +14,8 @@ from bask_data.config import load_config
 from bask_data.engine import resolve
 from bask_data.nn.loss import contrastive
 from bask_data.pipeline import STAGES
-from bask_data.stages.train import TrainParams, _settings, train
+from bask_data.stages.train import _settings, train
+from bask_data.stages.train_params import TrainParams
 
 PIPELINES = Path(__file__).parents[1] / "pipelines"
 N_MATCHES, N_NON_MATCHES = 6, 40

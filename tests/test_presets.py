@@ -9,7 +9,8 @@ from bask_data.engine import resolve
 from bask_data.pipeline import STAGES
 from bask_data.presets import PRESETS, PresetName, preset
 from bask_data.stages.encode import encode
-from bask_data.stages.train import TrainParams, train
+from bask_data.stages.train import train
+from bask_data.stages.train_params import TrainParams
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -62,6 +62,7 @@ PANELS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
             "flip",
             "background",
             "composition",
+            "by_identity",
             "colour",
             "hue_deg",
             "noise",

@@ -105,6 +105,13 @@ class Identities(Artifact):
         """The identity by scan and id of an object; those without one are missing."""
         return {(member.scene, member.instance): row for row in self.identities for member in row.members}
 
+    def of_scans(self) -> dict[str, dict[int, int]]:
+        """The numbers of identities by scan and by id of an object; those without one are missing."""
+        scans: dict[str, dict[int, int]] = {}
+        for (scene, instance), row in self.of_instances().items():
+            scans.setdefault(scene, {})[instance] = row.id
+        return scans
+
     def names_of_instances(self) -> dict[tuple[str, int], str]:
         """A name by scan and id of an object: as stated, else the identity's number. Objects of one identity have one
         name and no others have it; those without an identity and a name are missing."""

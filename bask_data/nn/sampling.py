@@ -21,6 +21,7 @@ from bask_data.nn import rendering
 from bask_data.nn.augment import AugmentedView, AugmentSettings, Layer, layer
 from bask_data.nn.augment_look import random_ground, random_look
 from bask_data.nn.augment_motion import covered, moved, pasting_affine, random_affine, random_window, warped_labels
+from bask_data.nn.occluders import occluders
 
 REDRAWS = 8
 """Draws of a non-match that is too close to its match before it is discarded. Even if a tenth of the pixels are too
@@ -68,6 +69,10 @@ class PairSource(Protocol):
     @property
     def n_instances(self) -> Int[ndarray, "p"]:
         """Number of instances with matches in the scan of each pair."""
+
+    @property
+    def identities(self) -> Int[ndarray, "s 256"]:
+        """Which objects of different scans are the same, by scan and instance; 0: unknown."""
 
     def pair(self, i_pair: int) -> Pair:
         """The pair with this index."""
@@ -287,16 +292,15 @@ def _composed(
 
     It is pasted in front of the sampled object, not behind it, to train for partial occlusion.
     """
-    several = source.n_instances[subject.i_pair] > 1
-    same = source.scans == source.scans[subject.i_pair]
-    # A non-match on the same object would be a wrong label. Within a scan, another number is another object. Other
-    # scans may show the same objects again, so only scans of a single object, a different one each, take from them.
-    partners = np.flatnonzero(same if several else ~same)
+    scan, is_alone = int(source.scans[subject.i_pair]), source.n_instances[subject.i_pair] == 1
+    allowed = occluders(source.identities, scan, subject.instance, bool(is_alone))
+    partners = np.flatnonzero(np.isin(source.scans, np.nonzero(allowed)[0]))
     if len(partners) == 0:
         return visible
-    other = source.pair(int(rng.choice(partners)))
+    i_other = int(rng.choice(partners))
+    other = source.pair(i_other)
     candidates = np.unique(other.instance)
-    candidates = candidates[candidates != subject.instance] if several else candidates
+    candidates = candidates[allowed[source.scans[i_other], candidates]]
     if len(candidates) == 0:
         return visible
     instance = int(rng.choice(candidates))

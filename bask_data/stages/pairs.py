@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 from bask_data.dataset import Splits
@@ -21,10 +22,17 @@ CACHE_BYTES = 1 << 30
 
 
 class ScanPairs:
-    """The pairs of one scan; frames are read when needed."""
+    """The pairs of one scan; frames are read when needed.
 
-    def __init__(self, scan: Scan, masks: VisibleMasks, correspondences: Correspondences) -> None:
+    Args:
+        identities: by instance, as far as they are known.
+    """
+
+    def __init__(
+        self, scan: Scan, masks: VisibleMasks, correspondences: Correspondences, identities: Mapping[int, int]
+    ) -> None:
         self.name = scan.path.name
+        self.identities = identities
         self.scan, self.masks = scan, masks
         self.n_frames = {camera.name: camera.n_frames for camera in scan.cameras}
         self.sizes = {camera.name: (camera.height, camera.width) for camera in scan.cameras}
@@ -76,9 +84,15 @@ class Pairs:
     def __init__(self, chosen: list[tuple[ScanPairs, int]]) -> None:
         import numpy as np
 
+        from bask_data.nn.occluders import N_INSTANCES
+
         self._chosen = chosen
         self.scans = np.unique([scan.name for scan, _ in chosen], return_inverse=True)[1]
         self.n_instances = np.array([scan.n_instances for scan, _ in chosen], int)
+        self.identities = np.zeros((self.scans.max(initial=-1) + 1, N_INSTANCES), int)
+        for i_scan, scan in {int(i): scan for i, (scan, _) in zip(self.scans, chosen, strict=True)}.items():
+            for instance, identity in scan.identities.items():
+                self.identities[i_scan, instance] = identity
         self._limit: tuple[int, int] | None = None
         self._frames: dict[tuple[str, str, int], tuple[np.ndarray, np.ndarray]] = {}
         self._bytes = 0

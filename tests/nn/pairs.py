@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 
 from bask_data.core.geometry import in_image, invert_rigid, pixel_grid, project, transform, unproject
+from bask_data.nn.occluders import N_INSTANCES
 from bask_data.nn.sampling import Pair
 from tests.scenes import orbit, tabletop
 
@@ -32,6 +33,10 @@ class ScenePairs:
     @property
     def n_instances(self) -> np.ndarray:
         return np.full(self.n_pairs, 3)
+
+    @property
+    def identities(self) -> np.ndarray:
+        return np.zeros((1, N_INSTANCES), int)
 
     def pair(self, i_pair: int) -> Pair:
         return _pair(self._n_views, self._seed, *self._indices[i_pair], self._n_matches)
@@ -89,6 +94,7 @@ class RampPairs:
         self.n_objects = n_objects
         self.scans = np.repeat(np.arange(n_scans), n_pairs)
         self.n_instances = np.full(len(self.scans), n_objects)
+        self.identities = np.zeros((n_scans, N_INSTANCES), int)
         self._pairs: dict[int, Pair] = {}
 
     @property

@@ -415,3 +415,42 @@ def test_an_image_all_object_or_all_background_still_gives_non_matches(filled):
     _, foreground, valid = non_matches(np.full((40, 50), filled), uv, SAMPLE, np.random.default_rng(0))
     assert (foreground == filled).all()
     assert valid.all()
+
+
+def occluded(source: RampPairs, n_steps: int) -> set[tuple[tuple[int, int], tuple[int, int]]]:
+    """Sampled objects and those whose colour is more in their second image than without pasting, by scan and number."""
+    places = {source.marker(scan, i): (scan, i) for scan in set(source.scans) for i in range(1, source.n_objects + 1)}
+    sample, pasted = replace(SAMPLE, n_pairs=1), set()
+    for step in range(n_steps):
+        images = [batch_of_step(source, 0, step, sample, replace(PLAIN, composition=share)) for share in (0.0, 1.0)]
+        own = places[int(seen_at(images[1].rgb_b[0], images[1].uv_b[0])[0, 2])]
+        for marker, place in places.items():
+            before, after = (pasted_share(each.rgb_b[0], marker) for each in images)
+            if after > before + 0.02:
+                pasted.add((own, place))
+    return pasted
+
+
+def test_an_object_is_not_pasted_over_itself_as_another_scan_shows_it():
+    source = RampPairs(1, n_scans=3, n_pairs=2)
+    assert ((0, 1), (1, 1)) in occluded(source, 40)
+    source.identities[[0, 1], 1] = 5
+    assert occluded(source, 40) == {
+        (a, b) for a in [(0, 1), (1, 1), (2, 1)] for b in [(0, 1), (1, 1), (2, 1)] if (2, 1) in (a, b) and a != b
+    }
+
+
+def test_scans_of_several_objects_take_from_others_what_is_known_to_differ():
+    source = RampPairs(2, n_scans=2, n_pairs=2)
+    # The first scan shows identities 1 and 2 together, the second one 2 and an unknown object.
+    source.identities[0, [1, 2]] = 1, 2
+    source.identities[1, 1] = 2
+    within = {((scan, i), (scan, 3 - i)) for scan in (0, 1) for i in (1, 2)}
+    across = {((0, 1), (1, 1)), ((1, 1), (0, 1))}
+    assert occluded(source, 80) == within | across
+
+
+def test_twins_of_one_scan_are_not_pasted_over_each_other():
+    source = RampPairs(2, n_scans=1, n_pairs=2)
+    source.identities[0, [1, 2]] = 3
+    assert occluded(source, 20) == set()

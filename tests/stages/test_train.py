@@ -30,7 +30,8 @@ from bask_data.nn.state import saved_step
 from bask_data.nn.training import TrainingSettings
 from bask_data.progress import listen
 from bask_data.stages import train as train_module
-from bask_data.stages.train import TrainParams, train
+from bask_data.stages.train import train
+from bask_data.stages.train_params import TrainParams
 from tests.datasets import copied
 from tests.nn.pairs import SIZE
 from tests.stages.learning import SMALL, learning_dataset
