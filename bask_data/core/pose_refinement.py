@@ -193,7 +193,8 @@ def _is_still(world_from_cameras: Float[ndarray, "t 4 4"]) -> bool:
 
 
 def _beats(winner: Residual, other: Residual) -> bool:
-    """Whether held-out residuals are smaller, by a paired t statistic."""
+    """Whether held-out residuals are smaller, by a paired t statistic: a threshold, as pairs that share frames are not
+    independent."""
     known = np.isfinite(winner.distance) & np.isfinite(other.distance)
     gain = other.distance[known] - winner.distance[known]
     if len(gain) < LEAST_HELD_OUT or gain.mean() <= SURE_GAIN * other.distance[known].mean():

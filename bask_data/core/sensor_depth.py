@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from bask_data.core.depth import SIGMA_FROM_MAD
 from bask_data.core.sensor_frames import BlockPoints, FrameMeasures
 
 STUCK_SHARE = 0.005
@@ -120,7 +121,7 @@ def bowl(frames: Sequence[BlockPoints], width: int, rng: np.random.Generator) ->
     bend, depth = np.array(bends), float(np.median(depths))
     half = width / 2 / frames[0].K[0, 0]
     middle = float(np.median(bend))
-    error = 1.4826 * float(np.median(np.abs(bend - middle))) / np.sqrt(len(bend)) * 1.25 + 1e-12
+    error = SIGMA_FROM_MAD * float(np.median(np.abs(bend - middle))) / np.sqrt(len(bend)) * 1.25 + 1e-12
     same_sign = float((np.sign(bend) == np.sign(middle)).mean())
     edge = -middle * half**2
     return Bowl(edge, depth, len(bend), bool(abs(middle) > 4 * error and same_sign > 0.85))
@@ -149,7 +150,7 @@ def _bend(blocks: BlockPoints, rng: np.random.Generator) -> tuple[float, float] 
         weighted = curved * weight[:, None]
         solution = np.linalg.lstsq(weighted.T @ curved, weighted.T @ inverse, rcond=None)[0]
         error = np.abs(inverse - curved @ solution) / inverse
-        sigma = max(1.4826 * float(np.median(error[best])), 1e-6)
+        sigma = max(SIGMA_FROM_MAD * float(np.median(error[best])), 1e-6)
         weight = np.clip(1 - (error / (4 * sigma)) ** 2, 0, None) * (error < ON_PLANE)
     return float(solution[3]) / scale, 1 / scale
 

@@ -198,7 +198,7 @@ def repeated_poses(pairs: NeighbourPairs) -> list[WrongPose]:
 
 def _has_surface(pairs: NeighbourPairs, pair: FramePair) -> bool:
     shares = [np.isfinite(pairs.frames[k].blocks.normals[..., 0]).mean() for k in (pair.i, pair.j)]
-    return min(shares) > LEAST_SURFACE
+    return bool(min(shares) > LEAST_SURFACE)
 
 
 def off_frames(pairs: NeighbourPairs) -> list[WrongPose]:

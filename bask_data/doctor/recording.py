@@ -20,7 +20,7 @@ from bask_data.findings import Finding
 from bask_data.formats.kept_frames import KeptFrames
 from bask_data.formats.recording import CameraRecording
 from bask_data.formats.registration import edge_pictures, registration
-from bask_data.formats.verdict import Agreement
+from bask_data.formats.verdict import Agreement, Registration
 from bask_data.kinds import Camera
 
 N_SAMPLED = 8
@@ -49,13 +49,13 @@ class Settings:
 
 
 def examine_camera(
-    place: str, camera: CameraRecording, settings: Settings, judged: Agreement | None = None
+    place: str, camera: CameraRecording, settings: Settings, known: tuple[Agreement, Registration] | None = None
 ) -> ExaminedCamera:
     """All checks of one camera.
 
     Args:
         place: `recording/camera`.
-        judged: what depth says about its reading, if that is known already.
+        known: what depth says about its reading, and whether depth lies on colour, if the reader has told already.
     """
     camera = sharing(camera)
     findings: list[Finding] = []
@@ -63,13 +63,13 @@ def examine_camera(
     told: list[Agreement] = []
 
     def check_reading() -> None:
-        told.append(judged or agreement_of_stored(camera, settings.assumptions))
+        told.append(known[0] if known else agreement_of_stored(camera, settings.assumptions))
         findings.extend(reading_findings(place, told[0], settings.again))
         if is_sure(told[0]):
             right.append(f"reading: sure; {told[0].text}")
 
     def check_registration() -> None:
-        said = registration(camera, not (told and told[0].judgement.objections))
+        said = known[1] if known else registration(camera, not (told and told[0].judgement.objections))
         findings.extend(said.findings(place))
         if said.verdict == "fits":
             right.append(said.text)
@@ -78,7 +78,9 @@ def examine_camera(
         found = sensor_findings(
             place, camera.n_frames, partial(metres, camera), camera.Ks, camera.world_from_cameras, camera.time
         )
-        findings.extend(found)
+        # Poses that hang are told by the readings, too.
+        said = {each.code for each in findings}
+        findings.extend(each for each in found if each.code not in said)
         if not found:
             right.append("images, depth, single frames and stamps")
 

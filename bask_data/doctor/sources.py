@@ -80,7 +80,8 @@ def _examined(asked: AskedSource, name: str, with_pictures: bool) -> Examination
         for camera in progress(read.cameras, f"examining {name}", len(read.cameras)):
             # It was read with --trust only so that nothing is refused.
             judged = replace(read.agreements[camera.name], is_trusted=asked.options.trust)
-            cameras.append(examine_camera(f"{name}/{camera.name}", camera, settings, judged))
+            known = (judged, read.registrations[camera.name])
+            cameras.append(examine_camera(f"{name}/{camera.name}", camera, settings, known))
         refused += stamp_findings(name, {camera.name: camera.time for camera in read.cameras})
     return Examination(
         str(asked.source), tuple(cameras), tuple(refused), (), asked.command, read.assumptions if read else {}

@@ -75,7 +75,7 @@ def prepared(
         refuse(source, refused)
     kept = _kept(source, recording, chosen, bad)
     origin = _origin(recording, kept, np.array(home)) if options.local_origin else np.zeros(3)
-    cameras, agreements, assumptions = [], {}, dict(recording.assumptions)
+    cameras, agreements, registrations, assumptions = [], {}, {}, dict(recording.assumptions)
     for camera in recording.cameras:
         frames = aligned(source, camera, kept[camera.name], options)
         for first_images in decoded[camera.name]:
@@ -90,7 +90,8 @@ def prepared(
         agreements[camera.name] = agreement(ready, otherwise, options, camera.depth_scale)
         assumptions[f"{prefix}agreement"] = agreements[camera.name].text
         read_rightly = not agreements[camera.name].judgement.objections
-        assumptions[f"{prefix}registration"] = registration(ready, read_rightly).text
+        registrations[camera.name] = registration(ready, read_rightly)
+        assumptions[f"{prefix}registration"] = registrations[camera.name].text
         agreements[camera.name].refuse(source, camera.name)
         for kept_images in images:
             kept_images.hand_out()
@@ -108,6 +109,7 @@ def prepared(
             for label, pose in recording.object_poses.items()
         },
         agreements=agreements,
+        registrations=registrations,
         origin=(float(origin[0]), float(origin[1]), float(origin[2])),
         left_out={f"{fault.camera}/{fault.frame}": fault.reason for fault in bad},
     )

@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from bask_data.core.lens import Distortion, Lens
 from bask_data.errors import BadData
-from bask_data.formats.verdict import Agreement
+from bask_data.formats.verdict import Agreement, Registration
 
 Depth = UInt16[ndarray, "h w"] | Float32[ndarray, "h w"]
 """Raw depth of a frame: 0 means no measurement; in floating-point depth also NaN, infinite and negative values."""
@@ -169,6 +169,7 @@ class PreparedRecording:
         assumptions: those of the reader, and what was done to its frames.
         origin: metres; the source's world coordinates are ours plus this.
         agreements: what depth says about the way each camera was read.
+        registrations: whether the depth of each camera lies on its colour.
         left_out: why frames were left out, by `camera/frame`.
     """
 
@@ -179,6 +180,7 @@ class PreparedRecording:
     files: tuple[Path, ...]
     object_poses: dict[int, ObjectPose]
     agreements: dict[str, Agreement]
+    registrations: dict[str, Registration]
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     left_out: dict[str, str] = field(default_factory=dict)
 

@@ -8,7 +8,7 @@ shift is told only if colours are sure of it in both halves of the pairs, or if 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -17,10 +17,11 @@ from jaxtyping import Float32, UInt8
 from numpy import ndarray
 
 from bask_data.core.color_shift import WIDTH, color_view, likeness
+from bask_data.core.depth import SIGMA_FROM_MAD
 from bask_data.core.edge_offset import depth_edges, edge_match
 from bask_data.core.geometry import invert_rigid
-from bask_data.findings import Finding
 from bask_data.formats.recording import CameraRecording
+from bask_data.formats.verdict import Registration
 
 N_EDGE_FRAMES = 8
 """Frames whose edges are compared, spread over the recording. Sensitivity not measured."""
@@ -68,46 +69,6 @@ AGREEING, FRAMES_ALIKE_PX = 0.6, 14
 """Least share of frames whose own edge peak is near the common one, and how near, pixels of 640: parallax moves it. Of
 recordings of a camera 4 cm beside the colour camera, 6 of 8 have it; of 19 parts of registered recordings with three
 frames or more none."""
-
-
-@dataclass(frozen=True)
-class Registration:
-    """What colours and edges say: `fits`, `shifted` or `cannot tell`.
-
-    Args:
-        shift: how many pixels (u, v) colour lies away from depth.
-        by: what says so: `colours` of the same surface, `edges`, or both; of `cannot tell`, what is at least alike.
-    """
-
-    verdict: str
-    shift: tuple[int, int] = (0, 0)
-    by: str = ""
-
-    @property
-    def text(self) -> str:
-        """A sentence for the recording's assumptions."""
-        if self.verdict == "fits":
-            return f"depth lies on colour, by {self.by}"
-        if self.verdict == "shifted":
-            (u, v), distance = self.shift, float(np.hypot(*self.shift))
-            return (
-                f"by {self.by}, colour lies {distance:.0f} pixels (u {u:+d}, v {v:+d}) away from depth: depth seems "
-                "not to be registered to colour, or the poses to be those of another camera; masks will lie beside "
-                "the objects"
-            )
-        but = f"; {self.by} are alike, but before a plane they always are" if self.by else ""
-        return f"cannot tell whether depth lies on colour{but}; --picture FILE shows the edges of both"
-
-    def findings(self, place: str) -> list[Finding]:
-        """The doctor's findings."""
-        if self.verdict == "fits":
-            return []
-        if self.verdict == "shifted":
-            fix = "register depth to colour with the camera's own library, or state --depth-intrinsics and "
-            fix += "--color-from-depth; if depth is registered, correct the pose of the camera on its mount"
-            return [Finding("depth-shifted", place, self.text, fix)]
-        fix = "look at the edges of depth over colour: `ingest --picture FILE`, `doctor --report FILE`"
-        return [Finding("registration-unknown", place, self.text.rpartition(";")[0], fix)]
 
 
 def registration(camera: CameraRecording, poses_fit: bool = True) -> Registration:
@@ -185,7 +146,7 @@ def _by_edges(camera: CameraRecording, reach: int) -> tuple[Registration, bool]:
     if not scores:
         return Registration("cannot tell"), False
     mean = np.mean(scores, axis=0)
-    mean = (mean - np.median(mean)) / (1.4826 * np.median(np.abs(mean - np.median(mean))) + 1e-9)
+    mean = (mean - np.median(mean)) / (SIGMA_FROM_MAD * np.median(np.abs(mean - np.median(mean))) + 1e-9)
     scale = camera.width / 640
     near = max(1, round(NEAR_PX * scale))
     middle = slice(reach - near, reach + near + 1)
@@ -214,7 +175,8 @@ def _color_pairs(n_frames: int) -> list[tuple[int, int]]:
 
 
 def _t(differences: np.ndarray) -> float:
-    """Mean in standard errors."""
+    """Mean in standard errors, as if pairs were independent; those that share frames are not, so it is a threshold
+    only."""
     if len(differences) < 2:
         return 0.0
     return float(differences.mean() / (differences.std(ddof=1) / np.sqrt(len(differences)) + 1e-9))

@@ -1,10 +1,12 @@
-"""What depth says about the way a recording was read, in a form that is kept and shown."""
+"""What depth and colour say about the way a recording was read, in a form that is kept and shown."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import numpy as np
 
 from bask_data.core.readings_judgement import ADVICE, Judgement, Offers
 from bask_data.errors import BadData
@@ -82,6 +84,46 @@ class Agreement:
             got="; ".join(f"{self.judgement.reasons[code]} [{code}]" for code in refused),
             fix=f"{self.judgement.fix(self.offers)}; --trust reads it as told.",
         )
+
+
+@dataclass(frozen=True)
+class Registration:
+    """What colours and edges say: `fits`, `shifted` or `cannot tell`.
+
+    Args:
+        shift: how many pixels (u, v) colour lies away from depth.
+        by: what says so: `colours` of the same surface, `edges`, or both; of `cannot tell`, what is at least alike.
+    """
+
+    verdict: str
+    shift: tuple[int, int] = (0, 0)
+    by: str = ""
+
+    @property
+    def text(self) -> str:
+        """A sentence for the recording's assumptions."""
+        if self.verdict == "fits":
+            return f"depth lies on colour, by {self.by}"
+        if self.verdict == "shifted":
+            (u, v), distance = self.shift, float(np.hypot(*self.shift))
+            return (
+                f"by {self.by}, colour lies {distance:.0f} pixels (u {u:+d}, v {v:+d}) away from depth: depth seems "
+                "not to be registered to colour, or the poses to be those of another camera; masks will lie beside "
+                "the objects"
+            )
+        but = f"; {self.by} are alike, but before a plane they always are" if self.by else ""
+        return f"cannot tell whether depth lies on colour{but}; --picture FILE shows the edges of both"
+
+    def findings(self, place: str) -> list[Finding]:
+        """The doctor's findings."""
+        if self.verdict == "fits":
+            return []
+        if self.verdict == "shifted":
+            fix = "register depth to colour with the camera's own library, or state --depth-intrinsics and "
+            fix += "--color-from-depth; if depth is registered, correct the pose of the camera on its mount"
+            return [Finding("depth-shifted", place, self.text, fix)]
+        fix = "look at the edges of depth over colour: `ingest --picture FILE`, `doctor --report FILE`"
+        return [Finding("registration-unknown", place, self.text.rpartition(";")[0], fix)]
 
 
 def codes_in(text: str) -> tuple[str, ...]:

@@ -40,6 +40,11 @@ def test_a_fault_of_a_recording_is_found(clean: Frames, name: str, tmp_path: Pat
     assert {code for _, code in of_frames(fault.inject(clean), tmp_path)} & set(fault.codes)
 
 
+def test_poses_that_hang_are_said_once(clean: Frames, tmp_path: Path) -> None:
+    codes = [code for _, code in of_frames(RECORDING_FAULTS["poses frozen at the end"].inject(clean), tmp_path)]
+    assert codes.count("poses-repeated") == 1
+
+
 def test_a_clean_dataset_has_no_errors(seen: tuple[Taken, Taken, Taken], tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "dataset", seen, Content(splits=True))
     assert [found for found in examined(dataset.root) if found[0] == "error"] == []
