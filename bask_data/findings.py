@@ -56,6 +56,7 @@ CODES = {
     "depth-shifted": Code("warning", "Depth does not lie on colour; masks will lie beside the objects."),
     "registration-unknown": Code("note", "Whether depth lies on colour cannot be told from the images."),
     "trusted": Code("note", "What depth objects to was overridden with --trust."),
+    "depth-rotated": Code("error", "The bits of depth are rotated, as APC's: far values start again near 0."),
     # Sensor: images, depth, single frames and stamps.
     "depth-none": Code("warning", "Frames have no depth at all."),
     "depth-sparse": Code("warning", "Much of the images has no depth."),

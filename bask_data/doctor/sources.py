@@ -14,6 +14,7 @@ from bask_data.formats import Format
 from bask_data.formats.options.common import SourceOptions
 from bask_data.formats.prepare import prepared
 from bask_data.formats.recording import PreparedRecording, SourceRecording
+from bask_data.formats.verdict import codes_in
 from bask_data.progress import progress
 from bask_data.sources.episodes import are_several, chosen_episodes
 
@@ -101,4 +102,5 @@ def _read(asked: AskedSource, name: str, opened: SourceRecording) -> tuple[Prepa
 
 def _refused(name: str, error: BadData) -> Finding:
     notes = "; ".join(getattr(error, "__notes__", []))
-    return Finding("unreadable", name, f"{error.fault}{f' {notes}' if notes else ''}", error.fix)
+    code = next(iter(codes_in(error.fault)), "unreadable")
+    return Finding(code, name, f"{error.fault}{f' {notes}' if notes else ''}", error.fix)

@@ -32,7 +32,12 @@ def recording_judgement(
     """
     texts = _of_cameras(metadata.assumptions, "agreement")
     findings = [
-        Finding("depth-shifted", _place(item, camera), text, f"register depth to colour, then {again('')}")
+        Finding(
+            "depth-shifted",
+            _place(item, camera),
+            text.removesuffix(" [depth-shifted]"),
+            f"register depth to colour, then {again('')}",
+        )
         for camera, text in _of_cameras(metadata.assumptions, "registration").items()
         if "not to be registered" in text
     ]

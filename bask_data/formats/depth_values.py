@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float32, UInt16
 from numpy import ndarray
 
+from bask_data.core.rotated_bits import BitPairs, bit_pairs
 from bask_data.errors import BadData
 from bask_data.formats.recording import Depth, SourceCamera
 
@@ -23,6 +24,12 @@ N_DEPTHS = 8
 
 DEPTH_REACH = 1.5
 """A unit must reach this many times the largest depth of the frames looked at. Chosen; sensitivity not measured."""
+
+ROTATED_FIX = (
+    "`bask-data ingest apc` reads scenes of APC; otherwise write depth anew as (raw >> 3) | (raw << 13), in 16 bits, "
+    "whose unit is 0.0001 m in APC and 0.001 m in SUN RGB-D."
+)
+"""What to do about rotated bits. No other scale is right for what lies beyond 8191 units."""
 
 LARGEST = 65535
 """Largest 16-bit value."""
@@ -71,9 +78,10 @@ def depth_values(camera: SourceCamera, kept: list[int], *, has_scale_option: boo
         has_scale_option: whether the format has `--depth-scale`, which an error may offer.
 
     Raises:
-        BadData: no frame has a measurement, or the median is implausible at this scale.
+        BadData: no frame has a measurement, the bits are rotated, or the median is implausible at this scale.
     """
     looked_at = np.unique(np.linspace(0, len(kept) - 1, min(N_DEPTHS, len(kept))).astype(int))
+    _check_bits(camera, [kept[int(k)] for k in looked_at])
     is_float, largest, checked = False, 0.0, False
     for k in [*looked_at, *np.setdiff1d(np.arange(len(kept)), looked_at)]:
         if checked and k not in looked_at:
@@ -105,6 +113,28 @@ def depth_values(camera: SourceCamera, kept: list[int], *, has_scale_option: boo
         f"floating point in the source, kept in steps of {scale * 1000:g} mm; beyond {scale * LARGEST:.1f} m left out"
     )
     return DepthValues(camera.depth_scale, scale, {"depth values": text})
+
+
+def _check_bits(camera: SourceCamera, frames: list[int]) -> None:
+    """Refuse depth whose bits are surely rotated; `BadData`. Of other depth, one frame is looked at."""
+    pairs = BitPairs()
+    for i in frames:
+        raw = camera.depth(i)
+        if raw.dtype != np.uint16:
+            return
+        pairs += bit_pairs(raw)
+        if raw.any() and not pairs.may_be_rotated:
+            return
+    if pairs.is_rotated:
+        raise BadData(
+            camera.name,
+            "depth",
+            expected="values that grow with the distance",
+            got=f"multiples of 8 that start again at 1: {pairs.n_mended} of {pairs.n_jumps} jumps between neighbouring "
+            "pixels by nearly all that 16 bits hold vanish if the bits are rotated by three: depth seems bit-rotated, "
+            "as APC's [depth-rotated]",
+            fix=ROTATED_FIX,
+        )
 
 
 def _check_median(camera: SourceCamera, i: int, median: float, has_scale_option: bool) -> None:

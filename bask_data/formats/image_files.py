@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import UInt8, UInt16
 from numpy import ndarray
 
+from bask_data.core.rotated_bits import rotated_back
 from bask_data.errors import BadData
 from bask_data.formats.depth_files import read_any_depth
 from bask_data.formats.files import first_readable
@@ -92,7 +93,7 @@ class ImageFiles:
 def _rotated_back(path: Path, raw: Depth) -> UInt16[ndarray, "h w"]:
     if raw.dtype != np.uint16:
         raise BadData(path, "depth", expected="one channel of 16 bits", got=str(raw.dtype))
-    return (raw >> np.uint16(3)) | (raw << np.uint16(13))
+    return rotated_back(raw)
 
 
 def _there(path: Path | None) -> Path:

@@ -21,6 +21,12 @@ NOTED = ("other-clock",)
 TRUSTED = "read as told, with --trust [trusted]"
 """Words of a text that says that what depth objects to was overridden."""
 
+SHIFTED_FIX = (
+    "register depth to colour with the camera's own library, or state --depth-intrinsics and --color-from-depth; if "
+    "depth is registered, correct the pose of the camera on its mount"
+)
+"""What to do about depth that lies beside colour."""
+
 _QUESTIONS = {
     "reading-unknown": "how poses are meant",
     "axes-unknown": "OpenCV axes from OpenGL axes",
@@ -101,7 +107,7 @@ class Registration:
 
     @property
     def text(self) -> str:
-        """A sentence for the recording's assumptions."""
+        """A sentence for the recording's assumptions, with the code of what is wrong in brackets."""
         if self.verdict == "fits":
             return f"depth lies on colour, by {self.by}"
         if self.verdict == "shifted":
@@ -109,7 +115,7 @@ class Registration:
             return (
                 f"by {self.by}, colour lies {distance:.0f} pixels (u {u:+d}, v {v:+d}) away from depth: depth seems "
                 "not to be registered to colour, or the poses to be those of another camera; masks will lie beside "
-                "the objects"
+                "the objects [depth-shifted]"
             )
         but = f"; {self.by} are alike, but before a plane they always are" if self.by else ""
         return f"cannot tell whether depth lies on colour{but}; --picture FILE shows the edges of both"
@@ -119,9 +125,7 @@ class Registration:
         if self.verdict == "fits":
             return []
         if self.verdict == "shifted":
-            fix = "register depth to colour with the camera's own library, or state --depth-intrinsics and "
-            fix += "--color-from-depth; if depth is registered, correct the pose of the camera on its mount"
-            return [Finding("depth-shifted", place, self.text, fix)]
+            return [Finding("depth-shifted", place, self.text.removesuffix(" [depth-shifted]"), SHIFTED_FIX)]
         fix = "look at the edges of depth over colour: `ingest --picture FILE`, `doctor --report FILE`"
         return [Finding("registration-unknown", place, self.text.rpartition(";")[0], fix)]
 
@@ -133,7 +137,8 @@ def codes_in(text: str) -> tuple[str, ...]:
 
 def advice(text: str) -> str:
     """What to do about the findings in the text of an assumption that state no remedy themselves."""
-    said = dict.fromkeys(ADVICE[code] for code in codes_in(text) if code in ADVICE)
+    known = {**ADVICE, "depth-shifted": SHIFTED_FIX}
+    said = dict.fromkeys(known[code] for code in codes_in(text) if code in known)
     return f".  fix: {'; '.join(said)}" if said and TRUSTED not in text else ""
 
 

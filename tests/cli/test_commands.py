@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
@@ -187,6 +188,18 @@ def test_poses_of_another_convention_are_refused_with_the_options_that_fit(tmp_p
     [warned] = [i for i, line in enumerate(lines) if line.startswith("warning: agreement: ")]
     last = max(i for i, line in enumerate(lines) if line.startswith("  assumed"))
     assert last < warned < len(lines) - 1, "after the assumptions, before what was made"
+
+
+def test_depth_beside_colour_is_a_warning_with_a_fix(tmp_path: Path) -> None:
+    files = tmp_path / "files"
+    options = write_recording(files)
+    for path in files.glob("*.color.png"):
+        cv2.imwrite(str(path), np.roll(cv2.imread(str(path)), (9, -7), axis=(0, 1)))
+    ended = cli("ingest", "frames", files, tmp_path / "d", "--scene", "a", *options)
+    assert ended.exit_code == 0, ended.stderr
+    [warned] = [line for line in ended.stderr.splitlines() if line.startswith("warning: registration: ")]
+    assert "(u -7, v +9) away from depth" in warned and "[depth-shifted].  fix: register depth to colour" in warned
+    assert "assumed     registration" not in ended.stderr
 
 
 def test_lists_on_the_command_line_are_split_at_commas(one_scan: Dataset) -> None:

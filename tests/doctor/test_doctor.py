@@ -9,6 +9,7 @@ import shutil
 from pathlib import Path
 from typing import get_args
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
@@ -56,6 +57,16 @@ def test_a_good_recording_is_found_right(recording: tuple[Path, str]) -> None:
     assert answer.exit_code == 0, answer.output
     assert re.search(r"table/wrist: reading: sure", answer.stdout)
     assert answer.stdout.splitlines()[-1].startswith(f"{source}: 0 errors, 0 warnings, ")
+
+
+def test_rotated_bits_of_depth_are_an_error_of_their_own(own: tuple[Path, str]) -> None:
+    source, read_as = own
+    for path in source.glob("*.depth.png"):
+        raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        raw[raw > 0] += 8192 - np.uint16(np.median(raw[raw > 0]))
+        cv2.imwrite(str(path), (raw << 3) | (raw >> 13))
+    answer = run(source, "--read-as", read_as, "--json")
+    assert answer.exit_code == 4 and codes_of(answer) == {"depth-rotated"}
 
 
 def test_a_wrong_unit_is_an_error_with_evidence_meaning_and_fix(recording: tuple[Path, str]) -> None:

@@ -92,8 +92,10 @@ def test_what_cannot_be_told_of_a_demonstration_needs_no_look_but_what_is_wrong_
 
 def test_depth_beside_colour_is_told_although_poses_are_right():
     text = "by edges, colour lies 27 pixels away from depth: depth seems not to be registered to colour"
-    judgement = recording(f"{KNOWN.format(87)}; {SURE}", text)
-    assert (judgement.verdict, codes(judgement)) == ("look", ["depth-shifted"])
+    for stored in (text, f"{text} [depth-shifted]"):  # Earlier versions named no code.
+        judgement = recording(f"{KNOWN.format(87)}; {SURE}", stored)
+        assert (judgement.verdict, codes(judgement)) == ("look", ["depth-shifted"])
+        assert judgement.findings[0].evidence == text
 
 
 def surface(explained: float, suspect: int = 0, unmeasured: int = 0, warnings: list[str] | None = None) -> ItemVerdict:

@@ -264,6 +264,16 @@ def test_an_implausible_depth_scale_is_refused(scale: float) -> None:
         prepare(source_camera(depth_scale=scale))
 
 
+def test_depth_with_rotated_bits_is_refused_whatever_the_scale() -> None:
+    # A tilted plane about 8192, the value from which rotated ones start again.
+    depth = np.tile(8152 + 5 * np.arange(WIDTH, dtype=np.uint16), (4, HEIGHT, 1))
+    prepare(source_camera(depth=lambda i: depth[i]))
+    message = r"depth: expected values .* seems bit-rotated, as APC's \[depth-rotated\].*fix: `bask-data ingest apc`"
+    for scale in (1.25e-5, 1e-5, 1e-3, 1.0):
+        with pytest.raises(BadData, match=message):
+            prepare(source_camera(depth=lambda i: (depth[i] << 3) | (depth[i] >> 13), depth_scale=scale), trust=True)
+
+
 SCALED = {"depth_scale": 1.0}
 OFF_CENTRE = {"lens": Lens(K + np.array([[0, 0, WIDTH], [0, 0, 0], [0, 0, 0]]), (HEIGHT, WIDTH))}
 

@@ -85,6 +85,33 @@ def test_files_with_intrinsics_are_found(tmp_path: Path, name: str, text: str) -
     assert (guess.options["intrinsics"], guess.missing) == (name, {})
 
 
+APC_NAMES = ("frame-00000{}.color.png", "frame-00000{}.depth.png", "frame-00000{}.pose.txt")
+
+
+@pytest.mark.parametrize("folder", ["", "labels"])
+@pytest.mark.parametrize("is_rotated", [True, False])
+def test_depth_decides_between_apc_and_other_recordings_whose_files_are_named_so(
+    tmp_path: Path, folder: str, is_rotated: bool
+) -> None:
+    scene = write_dump(tmp_path / folder, *APC_NAMES)
+    (scene / "camera-intrinsics.color.txt").write_text("20 0 7.5\n0 21 5.5\n0 0 1\n")
+    for i, raw in enumerate(images(3)[1]):
+        write_image(scene / APC_NAMES[1].format(i), (raw << 3) | (raw >> 13) if is_rotated else raw)
+    guess = guess_at(tmp_path)
+    assert (guess.format, guess.source) == (("apc", scene) if is_rotated else ("frames", tmp_path))
+    assert ("SOURCE holds it: labels" in guess.reasons) == (is_rotated and folder == "labels")
+
+
+def test_two_scenes_of_apc_in_a_folder_are_offered_one_by_one(tmp_path: Path) -> None:
+    for name in ("labels", "masks"):
+        scene = write_dump(tmp_path / name, *APC_NAMES)
+        (scene / "camera-intrinsics.color.txt").write_text("20 0 7.5\n0 21 5.5\n0 0 1\n")
+        for i, raw in enumerate(images(3)[1]):
+            write_image(scene / APC_NAMES[1].format(i), raw << 3)
+    found = recognise(tmp_path)
+    assert not found.guesses and "labels (apc), masks (apc)" in found.got
+
+
 @pytest.mark.parametrize("name", ["trajectory.txt", "poses.txt", "CameraTrajectory.txt", "scene.log", "poses.npy"])
 def test_a_file_with_all_poses_is_found(tmp_path: Path, name: str) -> None:
     write_dump(tmp_path, pose="")

@@ -1,8 +1,8 @@
 """Which format a source has, by names and first bytes of its files; and if none, what is nearest.
 
-Nothing is decoded, and what is looked at is bounded. A format's layout is known by its function in
-`recognise_folders.RECOGNISERS`, for single files by `recognise_files`; dumps without a layout of their own by
-`recognise_frames`.
+Nothing is decoded but depth in a layout that APC shares with others, and what is looked at is bounded. A format's
+layout is known by its function in `recognise_folders.RECOGNISERS`, for single files by `recognise_files`; dumps without
+a layout of their own by `recognise_frames`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""What folders of each format look like: a function per format that knows its layout, by names and first bytes."""
+"""What folders of each format look like: a function per format that knows its layout, by names and first bytes; of APC
+also by depth."""
 
 from __future__ import annotations
 
@@ -6,7 +7,13 @@ import json
 import re
 from collections.abc import Callable, Mapping
 
+import numpy as np
+
+from bask_data.core.rotated_bits import BitPairs, bit_pairs
+from bask_data.errors import BadData
+from bask_data.formats.depth_files import decode_any_depth
 from bask_data.formats.file_patterns import words_of
+from bask_data.formats.files import MAX_IMAGE_BYTES
 from bask_data.formats.guess import Guess
 from bask_data.formats.listing import Listing
 from bask_data.formats.options.colmap import MODEL_PLACES
@@ -15,6 +22,9 @@ from bask_data.formats.recognise.frames import K_PLACEHOLDER, find_calibration, 
 
 INFO_BYTES = 4 * 2**20
 """Bytes read of a LeRobot dataset's `meta/info.json`, which lists all its features."""
+
+N_DECODED = 3
+"""Depth images that are decoded at most to see whether a scene may be APC's: the first one that has depth decides."""
 
 
 def _tum(listing: Listing) -> Guess | None:
@@ -115,10 +125,31 @@ def _record3d(listing: Listing) -> Guess | None:
 
 
 def _apc(listing: Listing) -> Guess | None:
-    if not any(re.match(r"frame-\d+\.depth\.png$", name) for name in listing.files()):
+    reasons = {folder: reason for folder in listing.upper_folders if (reason := _of_apc(listing, folder))}
+    if len(reasons) != 1:
         return None
-    marks = [name for name in ("cam.info.txt", "camera-intrinsics.color.txt") if listing.has(name)]
-    return Guess("apc", listing.root, (f"frame-*.depth.png and {marks[0]}, as APC scenes have",)) if marks else None
+    [(folder, reason)] = reasons.items()
+    inside = (f"SOURCE holds it: {folder}",) if folder else ()
+    return Guess("apc", listing.root / folder, (reason, *inside))
+
+
+def _of_apc(listing: Listing, folder: str) -> str:
+    """Why a folder is an APC scene; empty if it is none. Others name files so, too: depth must have steps of 8."""
+    files = listing.files(folder)
+    depths = [name for name in files if re.match(r"frame-\d+\.depth\.png$", name)]
+    mark = next((name for name in ("cam.info.txt", "camera-intrinsics.color.txt") if name in files), "")
+    if not depths or not mark:
+        return ""
+    reason = f"frame-*.depth.png and {mark}, as APC scenes have"
+    for name in depths[:N_DECODED]:
+        try:
+            raw = decode_any_depth(name, listing.head(f"{folder}/{name}".lstrip("/"), MAX_IMAGE_BYTES))
+        except BadData:
+            continue
+        pairs = bit_pairs(raw) if raw.dtype == np.uint16 else BitPairs()
+        if pairs.n_changed:
+            return f"{reason}, and depth in steps of 8, as rotated bits have" if pairs.may_be_rotated else ""
+    return reason
 
 
 def _rlbench(listing: Listing) -> Guess | None:
