@@ -22,10 +22,10 @@ LEAST_ALIKE = 0.7
 """Share of neighbours of different values whose three last bits are the same: 0.99 and more in three rotated
 recordings, at most 0.14 in ten others."""
 
-JUMP = 60_000
+WRAP_JUMP = 60_000
 """Units that neighbours must differ by to count as a jump. Chosen; sensitivity not measured."""
 
-MENDED = (65_536 - JUMP) // 8
+MENDED = (65_536 - WRAP_JUMP) // 8
 """Units that the neighbours of a jump differ by at most when rotated back, if their bits were rotated: 7 cm in APC's.
 If values have steps of 8, but were not rotated, they differ by ten times as much."""
 
@@ -76,7 +76,7 @@ def bit_pairs(raw: UInt16[ndarray, "h w"]) -> BitPairs:
     for first, second in pairs:
         is_changed = (first != second) & (first > 0) & (second > 0)
         a, b = first[is_changed], second[is_changed]
-        is_jump = np.abs(a.astype(np.int32) - b) > JUMP
+        is_jump = np.abs(a.astype(np.int32) - b) > WRAP_JUMP
         back_a, back_b = rotated_back(a[is_jump]).astype(np.int32), rotated_back(b[is_jump])
         n_alike = np.count_nonzero((a ^ b) & np.uint16(2**ROTATED_BY - 1) == 0)
         n_mended = np.count_nonzero(np.abs(back_a - back_b) <= MENDED)
