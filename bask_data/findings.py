@@ -49,7 +49,9 @@ CODES = {
     ),
     "poses-repeated": Code("warning", "Poses stay the same for some frames while the images change."),
     "reading-unknown": Code("warning", "How poses are meant cannot be told from this recording."),
-    "axes-unknown": Code("warning", "OpenCV and OpenGL axes cannot be told apart, as the camera only moves sideways."),
+    "axes-unknown": Code(
+        "warning", "The axes of the camera, for instance OpenCV or OpenGL, cannot be told, as it hardly turns."
+    ),
     "unit-unknown": Code("warning", "The unit of depth and poses cannot be told, as the camera hardly translates."),
     "hardly-moves": Code("note", "The camera hardly moves, so poses cannot be judged."),
     "few-views": Code("note", "Too few frames overlap to judge poses."),

@@ -8,7 +8,7 @@ it beats all rivals, also those that the camera did not move, or only turned.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -20,7 +20,8 @@ from bask_data.core.readings_frozen import frozen_runs, moved_runs
 from bask_data.core.readings_hypotheses import Readings
 from bask_data.core.readings_judgement import JudgedCamera, Judgement, judgement, without_views
 from bask_data.core.readings_search import Space, other_sizes, scales, searched
-from bask_data.core.readings_verdict import verdict
+from bask_data.core.readings_unusual import is_unusual, with_unusual
+from bask_data.core.readings_verdict import Verdict, verdict
 from bask_data.core.warped_depth import DepthView, depth_view
 
 GAPS = (1, 2, 4, 8, 16, 32, 64)
@@ -77,19 +78,24 @@ def judge(
         depth = read_depth(i)
         views[i], size = _view(depth, Ks[i], settings.n_points), depth.shape
     readings = Readings.of(world_from_cameras, otherwise)
-    lags = _lags(n_frames)
-    paired = PairedViews(views, pairs, readings.poses, lags)
-    space = Space(
-        readings=tuple(range(len(readings.poses))),
-        scales=scales(),
-        K_factors=((1.0, 1.0), *other_sizes(Ks[0], size)),
-        lags=lags,
-        rays=(0, -1 if is_ray else 1),
-    )
-    trials, met, seen = searched(paired, space)
-    found = verdict(paired, trials, met, seen)
+    lags, rays = _lags(n_frames), (0, -1 if is_ray else 1)
+    space = Space((), scales(), ((1.0, 1.0), *other_sizes(Ks[0], size)), lags, rays)
+    paired, found, best = _found(views, pairs, readings, space)
+    if is_unusual(views, pairs, readings, best):
+        readings = with_unusual(readings)
+        paired, found, _ = _found(views, pairs, readings, space)
     camera = JudgedCamera(world_from_cameras, readings, paired, Ks[0], moved_runs(views, runs, found.near))
     return judgement(camera, found)
+
+
+def _found(
+    views: dict[int, DepthView], pairs: list[tuple[int, int]], readings: Readings, space: Space
+) -> tuple[PairedViews, Verdict, Float[ndarray, " p"]]:
+    """The verdict about some readings in all units, sizes and clocks, and the evidence of the best for each pair."""
+    paired = PairedViews(views, pairs, readings.poses, space.lags)
+    trials, met, seen = searched(paired, replace(space, readings=tuple(range(len(readings.poses)))))
+    found = verdict(paired, trials, met, seen)
+    return paired, found, met[int(np.argmax(met.mean(axis=1)))]
 
 
 def _pairs(n_frames: int, n_pairs: int) -> list[tuple[int, int]]:

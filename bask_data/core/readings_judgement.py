@@ -11,6 +11,7 @@ from numpy import ndarray
 from bask_data.core.geometry import view_change
 from bask_data.core.readings_evidence import AT_REST, NO_TRANSLATION, PairedViews, Trial
 from bask_data.core.readings_hypotheses import Hypothesis, Readings, hypothesis_of
+from bask_data.core.readings_unusual import conversion
 from bask_data.core.readings_verdict import LEAST_JUDGED_PAIRS, POOR_EVIDENCE, Verdict
 from bask_data.findings import CODES, Finding
 
@@ -151,7 +152,7 @@ class Judgement:
             unit += ", or correct the unit of depth"
         frames = f"{abs(best.lag)} {'frame' if abs(best.lag) == 1 else 'frames'}"
         every = {
-            "other-reading": f"convert the poses, which are of {self.option[0] or best.words}",
+            "other-reading": conversion(best) or f"convert the poses, which are of {self.option[0] or best.words}",
             "other-unit": unit,
             "other-depth": f"convert depth, which is {'the length of the ray' if best.ray == 'ray' else 'z'}",
             "other-intrinsics": f"give the intrinsics of these images, about {self._intrinsics}",
@@ -174,7 +175,7 @@ ADVICE = {
     "intrinsics-unknown": "check that the intrinsics are those of images of this size",
     "poses-repeated": "leave out the frames whose poses were not updated, with --frames",
     "reading-unknown": "check the conventions of the poses yourself: their direction, axes and order",
-    "axes-unknown": "check whether the camera's axes are those of OpenCV or of OpenGL",
+    "axes-unknown": "check axes and direction of the poses yourself; turn the camera, too, when recording again",
     "unit-unknown": "check the units of depth and poses; move the camera sideways when recording again",
     "hardly-moves": "check the conventions yourself; move the camera around the scene when recording again",
     "few-views": "check the conventions yourself; record more frames that see the same things",
@@ -292,9 +293,11 @@ class _Reasons:
         rivals = [names[trial.reading] for trial in other]
         alike = list(dict.fromkeys(each.words for each in [names[found.trial.reading], *rivals]))
         more = f" and {len(alike) - NAMED_READINGS} more" if len(alike) > NAMED_READINGS else ""
-        text = f"depth fits as well with {' or '.join(alike[:NAMED_READINGS])}{more} ({found.share:.0%}, {self._pairs})"
+        named = " or with ".join(alike[:NAMED_READINGS])
+        text = f"depth fits as well with {named}{more} ({found.share:.0%}, {self._pairs})"
         if "as read" not in alike:
-            text += ", and worse as read"
+            told = float(found.mean[found.trials.index(Trial(0))])
+            text = f"as read, depth fits worse than otherwise ({told:.0%}): {text}"
         is_axes = all((each.inverted, each.otherwise) == (self.best.inverted, self.best.otherwise) for each in rivals)
         # Motions that leave only the axes open tell the unit roughly; otherwise nothing is supported.
         is_axes = is_axes and all(0.5 <= trial.scale / found.trial.scale <= 2 for trial in other)

@@ -10,6 +10,12 @@ from bask_data.findings import Finding, by_severity
 from bask_data.formats.recording import CameraRecording
 from bask_data.formats.verdict import TRUSTED, Agreement
 
+OF_RIGHT_POSES = ("frame-off", "pose-jump", "drift")
+"""Findings about single frames that mean something only if the poses as a whole are read rightly."""
+
+CLEARLY_WORSE = 0.05
+"""Evidence by which another reading must be better for the one as read to be called worse. Sensitivity not measured."""
+
 
 def agreement_of_stored(camera: CameraRecording, assumptions: dict[str, str]) -> Agreement:
     """What depth says about a stored camera.
@@ -45,6 +51,11 @@ def reading_findings(place: str, said: Agreement, again: str = "") -> list[Findi
 def is_sure(said: Agreement) -> bool:
     """Whether no other reading does as well."""
     return not said.judgement.codes and not said.judgement.best.departures
+
+
+def is_worse(said: Agreement) -> bool:
+    """Whether depth fits the recording as it was read clearly worse than another reading, whichever that is."""
+    return bool(said.judgement.objections) or said.judgement.told < said.judgement.share - CLEARLY_WORSE
 
 
 def bars(said: Agreement) -> tuple[Bar, ...]:

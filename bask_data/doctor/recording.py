@@ -12,7 +12,7 @@ from jaxtyping import Float32, UInt8
 from numpy import ndarray
 
 from bask_data.doctor.examination import ExaminedCamera, Picture, frames_of
-from bask_data.doctor.reading import agreement_of_stored, bars, is_sure, reading_findings
+from bask_data.doctor.reading import OF_RIGHT_POSES, agreement_of_stored, bars, is_sure, is_worse, reading_findings
 from bask_data.doctor.recording_checks import sensor_findings
 from bask_data.drawing.images import resize
 from bask_data.errors import BadData
@@ -78,11 +78,14 @@ def examine_camera(
         found = sensor_findings(
             place, camera.n_frames, partial(metres, camera), camera.Ks, camera.world_from_cameras, camera.time
         )
+        # Poses that are all wrong make frames stand out, and drift: leaving those out, or `refine`, mends nothing.
+        is_wrong = bool(told) and is_worse(told[0])
+        found = [each for each in found if not (is_wrong and each.code in OF_RIGHT_POSES)]
         # Poses that hang are told by the readings, too.
         said = {each.code for each in findings}
         findings.extend(each for each in found if each.code not in said)
         if not found:
-            right.append("images, depth, single frames and stamps")
+            right.append("images, depth and stamps" if is_wrong else "images, depth, single frames and stamps")
 
     facts: dict[str, Any] = {}
     for check in (check_reading, check_registration, check_sensor, lambda: facts.update(facts_of(camera))):

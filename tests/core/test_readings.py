@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import ast
 from functools import cache
 
 import numpy as np
@@ -12,6 +13,7 @@ from bask_data.core.readings import JudgeSettings, judge
 from bask_data.core.readings_frozen import frozen_runs
 from bask_data.core.readings_judgement import Judgement
 from bask_data.core.readings_search import K_FACTORS, SAME_SCALE, other_sizes, scales
+from bask_data.core.readings_unusual import AXES
 from bask_data.core.readings_verdict import beats
 from tests.scenes import intrinsics, look_at, noisy, orbit, tabletop
 
@@ -78,6 +80,23 @@ def test_a_moving_camera_is_sure_and_nothing_is_found() -> None:
 def test_poses_of_other_frames_are_told_with_their_number(lag: int) -> None:
     made = judged("shaken", shaken()[np.clip(np.arange(N) - lag, 0, N - 1)])
     assert "other-clock" in made.codes and made.best.lag == lag
+
+
+@pytest.mark.parametrize(
+    ("words", "inverted"),
+    [(words, words.startswith("camera axes x forward")) for words in list(AXES)[::2] + list(AXES)[-1:]],
+)
+def test_unusual_axes_and_turned_images_are_told_with_what_converts_the_poses(words: str, inverted: bool) -> None:
+    told = shaken() @ np.linalg.inv(AXES[words])
+    made = judged("shaken", np.linalg.inv(told) if inverted else told)
+    [finding] = made.findings("a/c")
+    assert (finding.code, made.best.otherwise, made.best.inverted) == ("other-reading", words, inverted)
+    assert words in finding.evidence and ("the inverse of each pose" in finding.fix) == inverted
+    if "mirrored" in words:
+        assert finding.fix == "mirror colour and depth back"
+        return
+    stated = np.array(ast.literal_eval(finding.fix[finding.fix.index("[[") : finding.fix.index("]]") + 2]))
+    np.testing.assert_array_equal(stated, AXES[words][:3, :3])
 
 
 @pytest.mark.parametrize("size", [(0.5, 0.5), (2.0, 1.5)])

@@ -45,6 +45,12 @@ def test_poses_that_hang_are_said_once(clean: Frames, tmp_path: Path) -> None:
     assert codes.count("poses-repeated") == 1
 
 
+@pytest.mark.parametrize("name", ["clock off by two frames"])
+def test_frames_are_not_blamed_for_poses_that_are_wrong_as_a_whole(clean: Frames, name: str, tmp_path: Path) -> None:
+    found = of_frames(RECORDING_FAULTS[name].inject(clean), tmp_path)
+    assert {"other-clock"} == {code for severity, code in found if severity != "note"}
+
+
 def test_a_clean_dataset_has_no_errors(seen: tuple[Taken, Taken, Taken], tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "dataset", seen, Content(splits=True))
     assert [found for found in examined(dataset.root) if found[0] == "error"] == []
