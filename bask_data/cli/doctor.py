@@ -146,13 +146,14 @@ def _requested(source: Path, read_as: str) -> AskedSource:
     from bask_data.doctor.sources import AskedSource
 
     try:
-        name, *words = shlex.split(read_as)
-    except ValueError:
-        name, words = read_as.split()[0], []
+        name, *words = shlex.split(read_as) or [""]
+    except ValueError as error:
+        got = f"{read_as!r}: {error}"
+        raise UsageError("bask-data doctor", "--read-as", expected="a format and its options", got=got) from error
     format = next((each for each in FORMATS if each.name == name), None)
     if format is None:
         known = ", ".join(each.name for each in FORMATS)
-        raise UsageError("bask-data doctor", "--read-as", expected=f"one of {known}", got=name)
+        raise UsageError("bask-data doctor", "--read-as", expected=f"one of {known}", got=repr(name))
     command = get_command(ingest_app).commands[name]  # type: ignore[attr-defined]
     context = command.make_context(f"bask-data ingest {name}", [str(source), ".", "--scene", "any", *words])
     given = given_options(format.options, context.params)

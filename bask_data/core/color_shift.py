@@ -41,7 +41,8 @@ class ColorView:
 
     Args:
         detail: brightness without light and shade, `WIDTH` wide.
-        depth: metres, 0 = none, full size.
+        depth: metres, 0 = none; of large images every other pixel or fewer, about twice `WIDTH` wide.
+        K: of this depth.
     """
 
     detail: Float32[ndarray, "k l"]
@@ -56,7 +57,10 @@ def color_view(rgb: UInt8[ndarray, "h w 3"], depth: Float32[ndarray, "h w"], K: 
     grey = cv2.GaussianBlur(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 0.7)
     detail = grey - cv2.GaussianBlur(grey, (0, 0), DETAIL)
     contrast = np.sqrt(cv2.GaussianBlur(detail * detail, (0, 0), CONTRAST)) + 2
-    return ColorView((detail / contrast).astype(np.float32), np.ascontiguousarray(depth), K)
+    step = max(1, width // (2 * WIDTH))
+    K_thinned = K.copy()
+    K_thinned[:2] /= step
+    return ColorView((detail / contrast).astype(np.float32), np.ascontiguousarray(depth[::step, ::step]), K_thinned)
 
 
 def likeness(a: ColorView, b: ColorView, b_from_a: Float[ndarray, "4 4"], reach: int) -> Float32[ndarray, "n n"] | None:
