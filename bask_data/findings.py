@@ -154,7 +154,7 @@ CODES = {
     "track-jumps": Code("warning", "Keypoints jump from frame to frame."),
     # Identity of objects across scans.
     "identity-unknown": Code("note", "An object has no likely partner in another scan, or several that tie."),
-    "identity-twins": Code("warning", "Objects of one scan look the same: which one is which cannot be told."),
+    "identity-twins": Code("note", "Objects of one scan look the same: which one is which cannot be told."),
 }
 """All codes, by subject."""
 

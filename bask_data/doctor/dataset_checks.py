@@ -8,10 +8,12 @@ from bask_data.artifact import Artifact
 from bask_data.dataset import Dataset, Splits
 from bask_data.doctor.artifact_checks import artifact_findings
 from bask_data.doctor.demonstration_checks import demonstration_findings
+from bask_data.doctor.identity_checks import identity_findings
 from bask_data.doctor.scene_checks import scene_findings
 from bask_data.doctor.twins import twin_findings
+from bask_data.evaluation.lookup import find
 from bask_data.findings import Finding
-from bask_data.kinds import KeypointTrack, ObjectInstances
+from bask_data.kinds import Identities, KeypointTrack, ObjectInstances
 from bask_data.progress import progress
 from bask_data.spelling import number_of
 
@@ -36,9 +38,10 @@ def dataset_findings(dataset: Dataset, names: Sequence[str]) -> tuple[list[Findi
             f"motion of {number_of(len(demonstrations), 'demonstration')}, and keypoints of {n_tracks}",
             lambda: demonstration_findings(dataset, demonstrations),
         ),
+        ("every object has a partner in another scan", lambda: identity_findings(dataset)),
     ]
     is_compared = len(dataset.items("recording")) > 1 or dataset.file.splits != Splits()
-    is_checked = [True, is_compared, n_objects > 0, bool(demonstrations)]
+    is_checked = [True, is_compared, n_objects > 0, bool(demonstrations), find(dataset, Identities) is not None]
     findings: list[Finding] = []
     right: list[str] = []
     chosen = [check for check, wanted in zip(checks, is_checked, strict=True) if wanted]

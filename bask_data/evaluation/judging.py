@@ -27,6 +27,7 @@ from bask_data.kinds import (
     Correspondences,
     Demonstration,
     DescriptorNet,
+    Identities,
     KeypointTrack,
     ObjectInstances,
     Reconstruction,
@@ -35,6 +36,7 @@ from bask_data.kinds import (
     Scan,
     VisibleMasks,
 )
+from bask_data.spelling import number_of
 
 MOST_LABELLED = 3
 """Scenes whose masks are compared with labels for the verdict, as every frame has to be read."""
@@ -49,6 +51,7 @@ def verdicts(dataset: Dataset, measured: Measured) -> list[StageVerdict]:
     rows = [
         *_of_recordings(dataset, Scan, "Scans", ""),
         *_of_scenes(dataset, measured),
+        *_of_identities(dataset),
         *_of_networks(dataset, measured),
         *_of_recordings(dataset, Demonstration, "Demonstrations", " --as demonstration"),
         *_of_keypoints(dataset, measured),
@@ -135,6 +138,19 @@ def _of_scenes(dataset: Dataset, measured: Measured) -> list[StageVerdict]:
             "bask-data run ROOT",
         ),
     ]
+
+
+def _of_identities(dataset: Dataset) -> list[StageVerdict]:
+    """The row of `identify`, which is made on request: none if it has not been."""
+    name = _variant(dataset, Identities)
+
+    def judge(variant: str, made: Identities) -> ItemVerdict:
+        n_objects = len(made.of_instances()) + len(made.metadata.unknown)
+        objects = number_of(n_objects, "object")
+        evidence = f"{n_objects - len(made.metadata.unknown)} of {objects} recognised in another scan"
+        return ItemVerdict(variant, evidence, findings=tuple(made.findings()))
+
+    return [_judged(dataset, Identities, "Identities", [name], judge, "bask-data identify ROOT")] if name else []
 
 
 def _of_networks(dataset: Dataset, measured: Measured) -> list[StageVerdict]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from bask_data.artifact import Artifact, Metadata
+from bask_data.findings import Finding
 from bask_data.kinds.arrays import start
 from bask_data.kinds.tables import read_table, write_table
 from bask_data.specs import TableSpec
@@ -128,6 +130,14 @@ class Identities(Artifact):
             names.update({(member.scene, member.instance): words for member in members})
         return names
 
+    def findings(self) -> list[Finding]:
+        """What the user should look at: twins, ties, and objects that no other scan shows."""
+        where = f"look at {self.path / 'identities.png'}; then bask-data identify ROOT: "
+        return [
+            replace(each, place=f"identities, {each.place}", fix=f"{where}{each.fix}")
+            for each in identity_findings(self.identities, self.metadata.unknown)
+        ]
+
     def pairs(self) -> pa.Table:
         """The evidence of each pair of objects."""
         return read_table(self, "pairs.parquet")
@@ -165,6 +175,25 @@ class Identities(Artifact):
         start(out, Identities, metadata)
         write_table(out, Identities, "pairs.parquet", pairs)
         (out / "identities.png").write_bytes(picture)
+
+
+def identity_findings(identities: Sequence[IdentityRow], unknown: Sequence[UnknownRow]) -> list[Finding]:
+    """What the user should look at: twins, ties, and objects that no other scan shows."""
+    found = []
+    for row in (each for each in identities if each.twins):
+        places = ", ".join(f"{member.scene}/{member.instance}" for member in row.members)
+        evidence = f"objects of one scan look the same, so which one is which cannot be told: {places}"
+        found.append(Finding("identity-twins", f"identity {row.id}", evidence, "state --different, if they differ."))
+    for each in unknown:
+        place = f"{each.scene}/{each.instance}"
+        if each.why == "tie":
+            evidence = f"several objects of one scan are about as likely to be the same, {each.similar} among them"
+            found.append(Finding("identity-unknown", place, evidence, f"--same {place}={each.similar}, or another."))
+    alone = [f"{each.scene}/{each.instance}" for each in unknown if each.why == "no partner"]
+    if alone:
+        evidence = f"no other scan shows a likely match of {', '.join(alone)}"
+        found.append(Finding("identity-unknown", "objects", evidence, "state --same, if one does."))
+    return found
 
 
 def percent(confidence: float) -> str:

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bask_data.engine import progress, stage
-from bask_data.findings import Finding
 from bask_data.kinds import Identities, ObjectInstances, Reconstruction, Scan, VisibleMasks
-from bask_data.kinds.identities import IdentityRow, MemberRow, UnknownRow, percent
+from bask_data.kinds.identities import IdentityRow, MemberRow, UnknownRow, identity_findings, percent
 from bask_data.stages.identity_statements import IdentifyParams, Statements
 from bask_data.stages.identity_views import SeenObject, seen_objects
 
@@ -58,7 +57,7 @@ def identify(
         unknown=unknown,
         pairs=_pairs(seen, found, odds),
         picture=_picture(identities, unknown, seen),
-        warnings=[f"{finding.place}: {finding.evidence}" for finding in findings(identities, unknown)],
+        warnings=[f"{finding.place}: {finding.evidence}" for finding in identity_findings(identities, unknown)],
     )
 
 
@@ -103,25 +102,6 @@ def _unknown(
             )
         )
     return rows
-
-
-def findings(identities: Sequence[IdentityRow], unknown: Sequence[UnknownRow]) -> list[Finding]:
-    """What the user should look at: twins, ties, and objects that no other scan shows."""
-    found = []
-    for row in (each for each in identities if each.twins):
-        places = ", ".join(f"{member.scene}/{member.instance}" for member in row.members)
-        evidence = f"objects of one scan look the same, so which one is which cannot be told: {places}"
-        found.append(Finding("identity-twins", f"identity {row.id}", evidence, "state --different, if they differ."))
-    for each in unknown:
-        place = f"{each.scene}/{each.instance}"
-        if each.why == "tie":
-            evidence = f"several objects of one scan are about as likely to be the same, {each.similar} among them"
-            found.append(Finding("identity-unknown", place, evidence, f"--same {place}={each.similar}, or another."))
-    alone = [f"{each.scene}/{each.instance}" for each in unknown if each.why == "no partner"]
-    if alone:
-        evidence = f"no other scan shows a likely match of {', '.join(alone)}"
-        found.append(Finding("identity-unknown", "objects", evidence, "state --same, if one does."))
-    return found
 
 
 def _pairs(seen: Sequence[SeenObject], found: np.ndarray, odds: np.ndarray) -> dict[str, list[object]]:
