@@ -10,10 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray
+
+from bask_data.core.compiled import compiled
 
 WIDTH = 320
 """Width that images are compared at: a step of a shift is two pixels of 640."""
@@ -89,7 +90,7 @@ def likeness(a: ColorView, b: ColorView, b_from_a: Float[ndarray, "4 4"], reach:
     return cv2.GaussianBlur((scores - np.median(scores)).astype(np.float32), (0, 0), SMOOTHING)
 
 
-@numba.njit(cache=True)
+@compiled
 def _landing(
     uv: ndarray, z: ndarray, K_a: ndarray, K_b: ndarray, b_from_a: ndarray, depth_b: ndarray, share: float
 ) -> ndarray:
@@ -113,7 +114,7 @@ def _landing(
     return there
 
 
-@numba.njit(cache=True)
+@compiled
 def _correlations(at_a: ndarray, at_b: ndarray, image_a: ndarray, image_b: ndarray, reach: int) -> ndarray:
     """Correlation of two images at pairs of points, both shifted alike; [v, u]."""
     height, width = image_a.shape

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 from numpy import ndarray
 
+from bask_data.core.image_pairs import spread_pairs
 from bask_data.core.readings_evidence import PairedViews
 from bask_data.core.readings_frozen import frozen_runs, moved_runs
 from bask_data.core.readings_hypotheses import Readings
@@ -100,14 +101,8 @@ def _found(
 
 def _pairs(n_frames: int, n_pairs: int) -> list[tuple[int, int]]:
     """Pairs of frames at doubling distances, spread over the recording."""
-    gaps = [gap for gap in GAPS if gap < n_frames]
-    pairs = []
-    for gap in gaps:
-        margin = min(MOST_LAG, (n_frames - gap) // 8)
-        n_starts = min(-(-n_pairs // len(gaps)), n_frames - gap)
-        starts = np.linspace(margin, n_frames - 1 - gap - margin, n_starts).astype(int)
-        pairs += [(int(i), int(i) + gap) for i in np.unique(starts)]
-    return pairs
+    n_gaps = sum(gap < n_frames for gap in GAPS)
+    return spread_pairs(n_frames, GAPS, -(-n_pairs // max(1, n_gaps)), MOST_LAG)
 
 
 def _lags(n_frames: int) -> tuple[int, ...]:

@@ -20,6 +20,7 @@ from bask_data.core.color_shift import WIDTH, color_view, likeness
 from bask_data.core.depth import SIGMA_FROM_MAD
 from bask_data.core.edge_offset import depth_edges, edge_match
 from bask_data.core.geometry import invert_rigid
+from bask_data.core.image_pairs import spread_pairs
 from bask_data.formats.recording import CameraRecording
 from bask_data.formats.verdict import Registration
 
@@ -166,12 +167,7 @@ def _color_pairs(n_frames: int) -> list[tuple[int, int]]:
     """Pairs of frames at doubling distances, spread over the recording; all of few frames."""
     if n_frames <= ALL_PAIRS:
         return [(a, b) for a in range(n_frames) for b in range(a + 1, n_frames)]
-    pairs = []
-    for gap in COLOR_GAPS:
-        if gap < n_frames:
-            starts = np.linspace(0, n_frames - 1 - gap, min(PAIRS_PER_GAP, n_frames - gap)).astype(int)
-            pairs += [(int(i), int(i) + gap) for i in np.unique(starts)]
-    return pairs
+    return spread_pairs(n_frames, COLOR_GAPS, PAIRS_PER_GAP)
 
 
 def _t(differences: np.ndarray) -> float:
