@@ -62,12 +62,14 @@ class SeenScene:
     Args:
         views: some frames of all cameras.
         bounds: lowest and highest corner of the workspace, metres, world; None if unknown.
+        all_objects: whether the user said that everything in the workspace is objects, so nothing is doubted.
     """
 
     background: Background
     voxel_size: float
     views: Sequence[PosedDepth] = ()
     bounds: Float[ndarray, "2 3"] | None = None
+    all_objects: bool = False
 
 
 def doubts_of(
@@ -83,6 +85,8 @@ def doubts_of(
         normals: unit, towards the cameras.
         others: vertices of the other objects, on which it may stand.
     """
+    if scene.all_objects:
+        return ()
     chosen = np.unique(np.linspace(0, len(points) - 1, N_CHECKED).round().astype(int))
     sample = points[chosen].astype(np.float64)
     found: list[Doubt] = []

@@ -204,7 +204,7 @@ def split_objects(
                 labels,
                 n_instances,
                 MeshVertices(vertices, normals, areas),
-                SeenScene(scene, settings.voxel_size, settings.views, settings.bounds),
+                SeenScene(scene, settings.voxel_size, settings.views, settings.bounds, settings.support == "none"),
                 rng,
             )
         ),

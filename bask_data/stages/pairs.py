@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from bask_data.dataset import Splits
@@ -29,7 +30,11 @@ class ScanPairs:
     """
 
     def __init__(
-        self, scan: Scan, masks: VisibleMasks, correspondences: Correspondences, identities: Mapping[int, int]
+        self,
+        scan: Scan,
+        masks: VisibleMasks,
+        correspondences: Correspondences,
+        identities: Mapping[int, int] = MappingProxyType({}),
     ) -> None:
         self.name = scan.path.name
         self.identities = identities

@@ -66,7 +66,7 @@ def completed(folder: Path, line: str) -> list[str]:
     ("line", "offered"),
     [
         ("bask-data sta", ["status"]),
-        ("bask-data re", ["reconstruct", "reference", "report"]),
+        ("bask-data re", ["refine", "reconstruct", "reference", "report"]),
         ("bask-data ingest ", ["auto", *(format.name for format in FORMATS), "sim"]),
         ("bask-data run d --only ", ["table1", "table2", "pour1"]),
         ("bask-data run d --only table1,", ["table1,table2", "table1,pour1"]),
@@ -90,6 +90,7 @@ def test_all_stages_are_offered_to_set(folder: Path) -> None:
         "objects",
         "masks",
         "correspondences",
+        "identify",
         "train",
         "reference",
         "encode",
